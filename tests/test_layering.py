@@ -38,7 +38,7 @@ ALLOWED: dict[str, set[str]] = {
     "module": {"signal", "timing", "calibration", "device", "sources", "eds_files", "view"} | WORDS,
     # The encoder interface as a node, whatever its source: a converter, a recording, a simulated machine.
     "interface": {"signal", "timing", "device", "sources", "eds_files"} | WORDS,
-    "simulation": {"signal", "device", "sources", "interface", "eds_files"} | WORDS,
+    "simulation": {"signal", "device", "sources", "interface", "module", "eds_files"} | WORDS,
     # Time is an argument here as well: frames of a log in, what the module made of them out.
     "replay": {"signal", "calibration", "device", "module", "view"} | WORDS,
     "configuration": {"signal", "sources", "module", "interface", "simulation", "checks", "errors",
@@ -67,7 +67,7 @@ ALLOWED: dict[str, set[str]] = {
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "interface", "simulation",
              "configuration", "eds_files"} | WORDS,
     # What a module and a bus allow is arithmetic over both: of the module, of the wire and of the simulated
-    # motion, none of which may know the others. It needs no bus, so it is not in one that has.
+    # motion. It needs no bus, so it is not in one that has.
     "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files", "view"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
             "eds_files", "bus", "hosting", "demo", "master", "sdo", "diagnosis", "calibrate", "commission",

@@ -14,7 +14,6 @@ from canfb.cli.main import build_parser
 from canfb.cli.simulate import chosen
 from canfb.configuration import Config, load_config, parse_config
 from canfb.errors import ConfigError
-from canfb.hosting.simulating import fed_module
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.plant import DriveConfig
@@ -130,7 +129,7 @@ def parsed(drive: str, modules: str = MODULES) -> Config:
 
 
 def axis_of(config: Config, module: int = 0) -> object:
-    return simulated_axis(config.simulation, fed_module(config.modules[module]), autostart=True)
+    return simulated_axis(config.simulation, config.modules[module], autostart=True)
 
 
 def test_the_yaml_of_the_page_is_a_drive() -> None:
@@ -167,9 +166,7 @@ simulation: {{sync_jitter_us: 50, motion: {{standstill_s: 0.1, ramp_s: 0.13, rpm
 
 
 def network_of(config: Config) -> SimulatedNetwork:
-    return set_up(
-        config.simulation, fed_module(config.modules[0]), Play(rate_hz=RATE_HZ, autostart=True), report=print
-    )
+    return set_up(config.simulation, config.modules[0], Play(rate_hz=RATE_HZ, autostart=True), report=print)
 
 
 @pytest.mark.parametrize(

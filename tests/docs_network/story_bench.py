@@ -14,7 +14,6 @@ from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
 from canfb.configuration import load_config
 from canfb.demo.story import EmbeddedNetwork
-from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.state_machine import State
@@ -79,7 +78,7 @@ class DriveNetwork:
         assert config.simulation.drive is not None
         changed = dataclasses.replace(config.simulation.drive, **drive)  # type: ignore[arg-type]
         config = dataclasses.replace(config, played=dataclasses.replace(config.simulation, drive=changed))
-        simulated = simulated_axis(config.simulation, fed_module(config.modules[0]))
+        simulated = simulated_axis(config.simulation, config.modules[0])
         assert simulated is not None
         self.drive, source = simulated
         self.plant = self.drive.plant

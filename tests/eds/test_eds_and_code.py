@@ -13,7 +13,7 @@ from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.simulation.cia402.drive import ServoDrive
-from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
+from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant
 from played import Still
 
 NODE_ID = 32
@@ -53,7 +53,7 @@ Device = FeedbackModule | EncoderInterface | ServoDrive
 DEVICES: dict[str, Callable[[], Device]] = {
     MODULE: lambda: FeedbackModule(ModuleConfig(node_id=NODE_ID, autostart=True)),
     INTERFACE: lambda: EncoderInterface(NODE_ID, Still(), autostart=True),
-    DRIVE: lambda: ServoDrive(NODE_ID, Plant(Motor(MotorConfig())), autostart=True),
+    DRIVE: lambda: ServoDrive(Plant(Motor(DriveConfig(node_id=NODE_ID))), autostart=True),
 }
 
 

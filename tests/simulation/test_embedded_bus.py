@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.configuration import parse_config
-from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.simulation.embedded_bus import (
     AGAIN_S,
@@ -470,7 +469,7 @@ def test_the_fast_recording_goes_on_with_the_syncs() -> None:
 
 def test_the_plant_turns_one_interval_with_each_sync() -> None:
     config = parse_config("modules: [{node_id: 32}]\nsimulation: {drive: {load_torque_nm: -0.1}}\n")
-    axis = simulated_axis(config.simulation, fed_module(config.modules[0]), autostart=True)
+    axis = simulated_axis(config.simulation, config.modules[0], autostart=True)
     assert axis is not None
     drive, source = axis
     interface = EncoderInterface(NODE, source, autostart=True)

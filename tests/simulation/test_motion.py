@@ -19,13 +19,12 @@ from canfb.configuration import parse_config
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError, ConfigError
-from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.objects import MachineCommand
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration
 from canfb.signal.sample import Sample
-from canfb.simulation.cia402.plant import MotorConfig
+from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple, StoppableMotion
 from canfb.simulation.scenario import MotionConfig
@@ -144,11 +143,11 @@ def test_a_motion_is_described() -> None:
 
 def test_a_drive_has_its_torque_and_its_friction() -> None:
     objects = Dictionary.load(eds_path("drive"), 0x30)
-    demand = of_drive(MotorConfig(rated_torque_nm=0.5, coulomb_friction_nm=0.01), objects, MODULE, 500.0)
+    demand = of_drive(DriveConfig(rated_torque_nm=0.5, coulomb_friction_nm=0.01), objects, MODULE, 500.0)
     assert demand.acceleration_rad_s2 == pytest.approx(510.0)
     assert demand.speed_cycles == pytest.approx(250.0), "6080h: 3000 rpm"
     assert "write 336 or less to 6072h" in (demand.warning() or "")
-    assert of_drive(MotorConfig(), objects, MODULE, 1000.0).warning() is None
+    assert of_drive(DriveConfig(), objects, MODULE, 1000.0).warning() is None
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 400.0])
@@ -201,7 +200,7 @@ def place(interface: EncoderInterface, now: float) -> float:
 
 def test_it_stops_with_its_ramp_and_goes_on_from_there() -> None:
     config = parse_config(CONFIG)
-    network = set_up(config.simulation, fed_module(config.modules[0]), Play(autostart=True), print)
+    network = set_up(config.simulation, config.modules[0], Play(autostart=True), print)
     interface = network.interface
     interface.start(0.0)
     place(interface, 0.0)

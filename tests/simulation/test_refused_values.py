@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from canfb.simulation import faults
-from canfb.simulation.cia402.drive import FeedbackModuleLink
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.embedded_bus import BackgroundTraffic, SyncProducer, SyncTiming, Wire
 from canfb.simulation.encoder import Encoder
@@ -30,12 +29,10 @@ REFUSED: list[tuple[Any, dict[str, Any], str, list[Any], str]] = [
     (SyncTiming, {}, "sync_drift_ppm", [10_001], "sync_drift_ppm"),
     (SyncTiming, {}, "bus_load", [1.1], "bus_load"),
     (SyncTiming, {}, "bus_bit_rate", [9_999], "bus_bit_rate"),
+    (DriveConfig, {}, "node_id", [0, 128], "node_id"),
     (DriveConfig, {}, "motor_increments", [-1, 2**32], "motor_increments"),
     (DriveConfig, {}, "slip_revolutions", [1001.0, math.nan], "slip_revolutions"),
     (DriveConfig, {}, "slip_at_s", [-1.0], "slip_at_s"),
-    (FeedbackModuleLink, {}, "node_id", [0, 128], "node_id"),
-    (FeedbackModuleLink, {"node_id": 32}, "increments_per_revolution", [0], "increments_per_revolution"),
-    (FeedbackModuleLink, {"node_id": 32}, "total_range", [1 << 32], "total_range"),
 ]
 
 

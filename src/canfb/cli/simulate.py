@@ -28,10 +28,11 @@ from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.files import check_writable, writing
 from canfb.hosting.readiness import Readiness
-from canfb.hosting.simulating import Simulating, fed_module
+from canfb.hosting.simulating import Simulating
 from canfb.master.samples import TrackSamples, write_csv, write_npz
+from canfb.module.module_config import ModuleConfig
 from canfb.simulation.scenario import PACES, SimulationConfig
-from canfb.simulation.set_up import FedModule, Play, SampleRecorder
+from canfb.simulation.set_up import Play, SampleRecorder
 from canfb.sources.recording_source import RecordingLayout, chosen_layout
 
 TIMES = ("time_column", "gap", "gap_samples")
@@ -121,8 +122,8 @@ def simulate(options: argparse.Namespace) -> int:
     return 0
 
 
-def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfig, FedModule, Play]:
-    module = fed_module(chosen_module(options, config))
+def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfig, ModuleConfig, Play]:
+    module = chosen_module(options, config)
     if options.rate is not None and not 0.1 <= options.rate <= 100_000:
         raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
     simulation = jittered(config, options).simulation

@@ -13,25 +13,10 @@ from canfb.configuration import RealtimeConfig
 from canfb.device.node import Device
 from canfb.hosting.serving import OnBus
 from canfb.module.module_config import ModuleConfig
-from canfb.module.parameters import configured_defaults
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.set_up import FedModule, Play, SimulatedNetwork, set_up
+from canfb.simulation.set_up import Play, SimulatedNetwork, set_up
 
 log = logging.getLogger(__name__)
-
-
-def fed_module(config: ModuleConfig) -> FedModule:
-    scale = configured_defaults(config)
-    return FedModule(
-        chain=config,
-        node_id=config.node_id,
-        encoder_interface=config.encoder_interface,
-        times=config.times,
-        samples_per_sync=config.samples_per_sync,
-        autostart=config.autostart,
-        increments_per_revolution=scale[0x6001, 0],
-        total_range=scale[0x6002, 0],  # without scaling, too
-    )
 
 
 class Simulating(OnBus):
@@ -40,7 +25,7 @@ class Simulating(OnBus):
     def __init__(
         self,
         simulation: SimulationConfig,
-        module: FedModule,
+        module: ModuleConfig,
         play: Play,
         words: Mapping[str, Any],
         realtime: RealtimeConfig,

@@ -27,7 +27,6 @@ from canfb.configuration import Config
 from canfb.errors import BusError, reason
 from canfb.hosting.event_log import EventLog
 from canfb.hosting.hosting import make_module
-from canfb.hosting.simulating import fed_module
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.set_up import Play, set_up
 
@@ -96,7 +95,7 @@ class NetworkOnBus:
             self.module = make_module(module, held, self.words)
             self._bus = held.enter_context(open_device_bus(self.words))
             play = Play(rate_hz=self._rate_hz, autostart=module.autostart)
-            simulated = set_up(self.config.simulation, fed_module(module), play, log.warning)
+            simulated = set_up(self.config.simulation, module, play, log.warning)
             events.watch(self.module, self.module.events)
             held.callback(lambda: events.close(network.now))
             network.observers.append(self._send)

@@ -23,11 +23,12 @@ from canfb.device.node import Device
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.errors import ConfigError
 from canfb.interface.encoder_interface import EncoderInterface
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration
 from canfb.signal.phase import FloatArray, phase_in_cycle
-from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
-from canfb.simulation.cia402.plant import Coupling, Motor, MotorConfig, Plant, PlantSource
+from canfb.simulation.cia402.drive import ServoDrive
+from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant, PlantSource
 from canfb.simulation.embedded_bus import (
     IN_SLOW_MOTION,
     IN_TRUE_TIME,
@@ -144,7 +145,7 @@ def of_motion(motion: MotionConfig, module: ChainConfig, rate_hz: float) -> Moti
     )
 
 
-def of_drive(motor: MotorConfig, objects: Dictionary, module: ChainConfig, rate_hz: float) -> MotionDemand:
+def of_drive(motor: DriveConfig, objects: Dictionary, module: ChainConfig, rate_hz: float) -> MotionDemand:
     """What a drive with these objects asks at most: its largest speed; all its torque, to brake as well."""
     able = (motor.rated_torque_nm + motor.coulomb_friction_nm) / motor.inertia_kg_m2
     speed = objects.entry(*MOST_RPM).value / 60.0 * module.cycles_per_revolution / rate_hz
@@ -187,32 +188,8 @@ MISSED = -32768  # in both tracks, as in 2050:03
 SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 1e-6, 10.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class FedModule:
-    """A module and its encoder interface.
-
-    chain                       its encoder, converter and residual limit
-    node_id                     1..127; 255: none yet
-    encoder_interface           node-ID of the interface that is simulated
-    times                       the ADC PDO carries the sample time
-    samples_per_sync            1..8 pairs of sine and cosine for each SYNC
-    autostart                   operational without a master
-    increments_per_revolution   scale of its position (6001h)
-    total_range                 where its position wraps (6002h)
-    """
-
-    chain: ChainConfig
-    node_id: int
-    encoder_interface: int
-    times: bool
-    samples_per_sync: int
-    autostart: bool
-    increments_per_revolution: int
-    total_range: int
-
-
 def simulated_axis(
-    simulation: SimulationConfig, module: FedModule, *, autostart: bool = False
+    simulation: SimulationConfig, module: ModuleConfig, *, autostart: bool = False
 ) -> tuple[ServoDrive, PlantSource] | None:
     """A drive with its motor, and the encoder on the shaft."""
     settings = simulation.drive
@@ -220,20 +197,9 @@ def simulated_axis(
         return None
     if module.node_id == UNCONFIGURED:
         raise ConfigError("drive: the module whose position the drive uses has no node_id (255)")
-    plant = Plant(Motor(settings, settings.start_revolutions))
-    chain = module.chain
-    shaft = simulation.shaft(chain.adc_bits, chain.cycles_per_revolution)
-    source = PlantSource(shaft, plant, Coupling(settings.slip_revolutions, settings.slip_at_s))
-    link = FeedbackModuleLink(
-        node_id=module.node_id,
-        increments_per_revolution=module.increments_per_revolution,
-        total_range=module.total_range,
-        synchronous=settings.synchronous_feedback,
-    )
-    drive = ServoDrive(
-        settings.node_id, plant, link, autostart=autostart, motor_increments=settings.motor_increments
-    )
-    return drive, source
+    plant = Plant(Motor(settings))
+    shaft = simulation.shaft(module.adc_bits, module.cycles_per_revolution)
+    return ServoDrive(plant, module, autostart=autostart), PlantSource(shaft, plant)
 
 
 class SampleRecorder(SilentDevice):
@@ -347,7 +313,7 @@ class SimulatedNetwork:
 
 
 def set_up(
-    simulation: SimulationConfig, module: FedModule, play: Play, report: Callable[[str], None]
+    simulation: SimulationConfig, module: ModuleConfig, play: Play, report: Callable[[str], None]
 ) -> SimulatedNetwork:
     """All of it, powered off; ``report`` gets a line on what is wrong on the bus.
 
@@ -387,7 +353,7 @@ def sync_rate(simulation: SimulationConfig, rate_hz: float | None) -> float:
     return float(rate_hz or 1e6 / simulation.sync_period_us)
 
 
-def source_of(simulation: SimulationConfig, module: FedModule, play: Play) -> Source:
+def source_of(simulation: SimulationConfig, module: ModuleConfig, play: Play) -> Source:
     interval_s = 1.0 / sync_rate(simulation, play.rate_hz)
     if play.file is not None:
         timed = play.layout.time_column is not None or play.rate_hz is not None
@@ -399,12 +365,12 @@ def source_of(simulation: SimulationConfig, module: FedModule, play: Play) -> So
             paced=play.rate_hz is not None,
         )
         return open_recording(play.file, layout)
-    return simulation.source(module.chain.adc_bits, module.chain.cycles_per_revolution, interval_s)
+    return simulation.source(module.adc_bits, module.cycles_per_revolution, interval_s)
 
 
 def _demand(
     simulation: SimulationConfig,
-    module: FedModule,
+    module: ModuleConfig,
     play: Play,
     interface: EncoderInterface,
     drive: ServoDrive | None,
@@ -414,9 +380,9 @@ def _demand(
     if drive is not None:
         if play.rate_hz is None:
             return None
-        demand = of_drive(drive.plant.motor.config, drive.dictionary, module.chain, rate_hz)
+        demand = of_drive(drive.plant.motor.config, drive.dictionary, module, rate_hz)
     elif isinstance(source, RecordingSource):
-        demand = of_recording(*source.tracks(), module.chain, rate_hz, str(play.file))
+        demand = of_recording(*source.tracks(), module, rate_hz, str(play.file))
     else:
-        demand = of_motion(simulation.motion, module.chain, rate_hz)
+        demand = of_motion(simulation.motion, module, rate_hz)
     return replace(demand, per_sync=per_sync)

@@ -19,8 +19,8 @@ from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
-from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
-from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant, PlantSource
+from canfb.simulation.cia402.drive import ServoDrive
+from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant, PlantSource
 from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder
@@ -54,14 +54,14 @@ class DriveBench:
         period_s: float = 1e-3,
         synchronous: bool = False,
         cycles_per_revolution: int = 2500,
-        **motor: float,
+        **motor: Any,
     ) -> None:
         self.period_s = period_s
         self.bus = EmbeddedBus()
         self.network = EmbeddedNetwork(self.bus)
         self.heard: list[Frame] = []
         self.bus.observers.append(lambda frame, now: self.heard.append(frame))
-        self.motor = Motor(MotorConfig(**motor))
+        self.motor = Motor(DriveConfig(node_id=DRIVE_ID, synchronous_feedback=synchronous, **motor))
         self.plant = Plant(self.motor)
         encoder = Encoder(noise_lsb=0.5)
         self.source = Tampering(PlantSource(ShaftEncoder(encoder, cycles_per_revolution), self.plant))
@@ -72,15 +72,7 @@ class DriveBench:
             cycles_per_revolution=cycles_per_revolution,
         )
         self.module = FeedbackModule(config)
-        resolution, turns = (self.module.dictionary.entry(index).value for index in (0x6501, 0x6502))
-        self.drive = ServoDrive(
-            DRIVE_ID, self.plant, FeedbackModuleLink(
-                node_id=MODULE_ID,
-                increments_per_revolution=resolution,
-                total_range=resolution * turns % (1 << 32),
-                synchronous=synchronous,
-            ),
-        )  # fmt: skip
+        self.drive = ServoDrive(self.plant, config)
         self.master = BaseNode402(DRIVE_ID, str(eds_path("drive")))
         self.module_master = canopen.RemoteNode(MODULE_ID, str(eds_path("canfb-module")))
         self.interface_master = canopen.RemoteNode(INTERFACE_ID, str(eds_path("encoder-interface")))

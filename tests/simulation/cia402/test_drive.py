@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 
 from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
-from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
-from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
+from canfb.simulation.cia402.drive import ServoDrive
+from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State
 from drawing import examples
 from folding import each
@@ -253,8 +254,8 @@ class Rig:
     """A drive with a feedback that is right unless the test spoils it."""
 
     def __post_init__(self) -> None:
-        self.plant = Plant(Motor(MotorConfig()))
-        self.drive = ServoDrive(DRIVE_ID, self.plant, FeedbackModuleLink(node_id=MODULE_ID), autostart=True)
+        self.plant = Plant(Motor(DriveConfig(node_id=DRIVE_ID)))
+        self.drive = ServoDrive(self.plant, ModuleConfig(node_id=MODULE_ID), autostart=True)
         self.now = 1.0
         self.drive.start(self.now)
         self.status, self.offset, self.silent = 1, 0, False

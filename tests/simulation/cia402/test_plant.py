@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
+from typing import Any
 
 import pytest
 from hypothesis import example, given
@@ -26,7 +27,7 @@ from canfb.simulation.cia402.axis import (
 )
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.feedback_input import FeedbackInput, SyncInterval, Wrong
-from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant, PlantSource
+from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant, PlantSource
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from folding import each
 
@@ -36,16 +37,16 @@ SYNC = Frame(0x80, b"")
 FREE = {"coulomb_friction_nm": 0.0, "viscous_friction_nm_s": 0.0, "torque_time_constant_s": 0.0}
 
 
-def motor(command_nm: float = 0.0, speed_rad_s: float = 0.0, start: float = 0.0, **fields: float) -> Motor:
-    made = Motor(MotorConfig(**fields), start)
+def motor(command_nm: float = 0.0, speed_rad_s: float = 0.0, start: float = 0.0, **fields: Any) -> Motor:
+    made = Motor(DriveConfig(**fields, start_revolutions=start))
     made.braked = False
     made.command_nm = command_nm
     made.speed_rad_s = speed_rad_s
     return made
 
 
-def plant(speed: float = 10.0, start: float = 0.0) -> Plant:
-    return Plant(motor(0.0, speed, start, **FREE))
+def plant(speed: float = 10.0, start: float = 0.0, **fields: int) -> Plant:
+    return Plant(motor(0.0, speed, start, **FREE, **fields))
 
 
 @given(st.lists(st.floats(0.0, 2.0), min_size=1, max_size=20))
@@ -254,8 +255,8 @@ def test_a_long_pause_in_one_step_is_what_it_is_in_many(config: dict[str, float]
 
 def test_6063h_is_the_motor_at_the_sync() -> None:
     """Sent with the SYNC itself, not one later; it wraps."""
-    one = plant(2.0 * math.pi * 40.0, 2047.9)
-    drive = ServoDrive(0x30, one, motor_increments=1 << 20, autostart=True)
+    one = plant(2.0 * math.pi * 40.0, 2047.9, motor_increments=1 << 20)
+    drive = ServoDrive(one, autostart=True)
     for subindex, entry in ((1, 0x60630020), (0, 1)):
         drive.dictionary.entry(0x1A02, subindex).value = entry
     drive.dictionary.entry(0x1802, 1).value = 0x3B0

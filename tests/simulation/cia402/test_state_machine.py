@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import canopen
 import pytest
 from canopen.profiles.p402 import State402
 from drive_bench import DRIVE_ID, UNITS, DriveBench, cruising
 
-from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
-from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
+from canfb.module.module_config import ModuleConfig
+from canfb.simulation.cia402.drive import ServoDrive
+from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant
 from canfb.simulation.cia402.state_machine import Command, State, StateMachine, command_of
 from folding import each
 
@@ -153,19 +155,19 @@ def test_a_reset_of_the_node_switches_off_and_brings_the_defaults_back() -> None
 
 
 def test_the_parameters_of_a_motor_and_a_module_are_defaults() -> None:
-    plant = Plant(Motor(MotorConfig(inertia_kg_m2=2e-4, rated_torque_nm=1.5)))
-    link = FeedbackModuleLink(node_id=0x21, increments_per_revolution=4096, total_range=0, synchronous=True)
-    drive = ServoDrive(DRIVE_ID, plant, link)
+    motor: dict[str, Any] = {"inertia_kg_m2": 2e-4, "rated_torque_nm": 1.5}
+    plant = Plant(Motor(DriveConfig(node_id=DRIVE_ID, synchronous_feedback=True, **motor)))
+    drive = ServoDrive(plant, ModuleConfig(node_id=0x21, cycles_per_revolution=1024))
     places = {
         (0x1403, 1): 0x1A1,
         (0x1403, 2): 1,
         (0x2100, 5): 2000,
-        (0x2110, 5): 0,
+        (0x2110, 5): 511 << 23,
         (0x2110, 7): 0xA1,
         (0x6076, 0): 1500,
-        (0x60E6, 1): 4096,
+        (0x60E6, 1): 1 << 23,
     }
     assert {place: drive.dictionary.entry(*place).default for place in places} == places
     assert {place: drive.dictionary.entry(*place).value for place in places} == places
-    alone = ServoDrive(DRIVE_ID, plant)
+    alone = ServoDrive(plant)
     assert alone.dictionary.entry(0x1403, 1).value == 0x80000500 + DRIVE_ID

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 
-from canfb.checks import within
+from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import ErrorRegister, NmtState
 from canfb.cia301.frame import Frame
@@ -13,9 +12,11 @@ from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import MachineNode
+from canfb.module.module_config import ModuleConfig
+from canfb.module.parameters import Values, apply_defaults, configured_defaults
 from canfb.simulation.cia402.axis import Axis, saturated
 from canfb.simulation.cia402.feedback_input import FeedbackInput, SyncInterval, Wrong
-from canfb.simulation.cia402.plant import MotorConfig, Plant
+from canfb.simulation.cia402.plant import DriveConfig, Plant
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, Command, State, StateMachine, Status
 
 EDS = "drive"
@@ -27,27 +28,20 @@ STOP_TIMEOUT_S = 0.5  # After a ramp the shaft has this time to come to rest; th
 
 
 class ServoDrive(MachineNode):
-    """A drive, sans-I/O, that turns the motor of ``plant`` by the positions of a feedback module.
+    """A drive, sans-I/O, that turns the motor of ``plant`` by the positions of a feedback ``module``.
 
-    Attach the plant to the bus first. ``feedback`` and the motor set defaults (:func:`apply_defaults`). With
-    ``motor_increments`` 6063h is the position of an encoder on the motor at the SYNC.
+    Attach the plant to the bus first. Its configuration and the module set defaults: a reset comes back to
+    these.
     """
 
-    def __init__(
-        self,
-        node_id: int,
-        plant: Plant,
-        feedback: FeedbackModuleLink | None = None,
-        *,
-        autostart: bool = False,
-        motor_increments: int = 0,
-    ) -> None:
-        dictionary = Dictionary.load(eds_path(EDS), node_id)
-        apply_defaults(dictionary, plant.motor.config, feedback)
-        super().__init__(dictionary, node_id, autostart=autostart, store=None, bit_rates_kbit_s=())
+    def __init__(self, plant: Plant, module: ModuleConfig | None = None, *, autostart: bool = False) -> None:
+        config = plant.motor.config
+        dictionary = Dictionary.load(eds_path(EDS), config.node_id)
+        apply_defaults(dictionary, _defaults(config, module))
+        super().__init__(dictionary, config.node_id, autostart=autostart, store=None, bit_rates_kbit_s=())
         self.plant = plant
         self.feedback = FeedbackInput(self.dictionary)
-        self.axis = Axis(self.dictionary, self.feedback, motor_increments, self._show)
+        self.axis = Axis(self.dictionary, self.feedback, config.motor_increments, self._show)
         self._machine = StateMachine()
         self._interval = SyncInterval()
         self._watched_from_s = 0.0
@@ -300,44 +294,18 @@ class DriveError(IntEnum):
     SYNC_CONTROLLER = 0x8700  # no SYNC
 
 
-@dataclass(frozen=True, kw_only=True)
-class FeedbackModuleLink:
-    """The feedback module that a drive listens to: its ``node_id``, 1..127, and its scale.
-
-    increments_per_revolution   6501h of the module, with scaling on 6001h
-    total_range                 where its position wraps: 6501h times 6502h, with scaling on 6002h; 0 is 2^32
-    synchronous                 take the position at the next SYNC (RPDO type 1) instead of at once (255)
-    """
-
-    node_id: int
-    increments_per_revolution: int = 20_480_000
-    total_range: int = 4_280_320_000
-    synchronous: bool = False
-
-    def __post_init__(self) -> None:
-        within(
-            self,
-            node_id=(1, 127),
-            increments_per_revolution=(1, U32),
-            total_range=(0, U32),
-        )
-
-
-def apply_defaults(dictionary: Dictionary, motor: MotorConfig, link: FeedbackModuleLink | None) -> None:
-    """Replace defaults and values of the dictionary: a reset comes back to these."""
-    defaults = {
-        (0x6076, 0): max(1, min(U32, round(motor.rated_torque_nm * 1000))),
-        (0x2100, 5): max(1, min(U32, round(motor.inertia_kg_m2 * G_CM2_PER_KG_M2))),
+def _defaults(config: DriveConfig, module: ModuleConfig | None) -> Values:
+    defaults: Values = {
+        (0x6076, 0): max(1, min(U32, round(config.rated_torque_nm * 1000))),
+        (0x2100, 5): max(1, min(U32, round(config.inertia_kg_m2 * G_CM2_PER_KG_M2))),
     }
-    if link is not None:
+    if module is not None:
+        scale = configured_defaults(module)
         defaults |= {
-            (0x1403, 1): cob.TPDO1 + link.node_id,
-            (0x1403, 2): 1 if link.synchronous else 255,
-            (0x2110, 5): link.total_range,
-            (0x2110, 7): cob.EMERGENCY + link.node_id,
-            (0x60E6, 1): link.increments_per_revolution,
+            (0x1403, 1): cob.TPDO1 + module.node_id,
+            (0x1403, 2): 1 if config.synchronous_feedback else 255,
+            (0x2110, 5): scale[od.TOTAL_RANGE],  # without scaling, too
+            (0x2110, 7): cob.EMERGENCY + module.node_id,
+            (0x60E6, 1): scale[od.UNITS_PER_REVOLUTION],
         }
-    for (index, subindex), value in defaults.items():
-        entry = dictionary.entry(index, subindex)
-        entry.default = entry.value = value
-        entry.follows_node_id = False
+    return defaults

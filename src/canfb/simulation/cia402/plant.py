@@ -24,9 +24,12 @@ REMEMBERED_STEPS = 256  # where an encoder may still look back to
 SETTLED = 50.0  # time constants after which the torque is its command, to the last digit
 
 
+SLIP_S = 0.5  # it begins and ends gently, so that the tracks of the encoder show nothing of it
+
+
 @dataclass(frozen=True, kw_only=True)
-class MotorConfig:
-    """What turns. The encoder sits on the shaft of the motor; there is no gear.
+class DriveConfig:
+    """A drive on the shaft of the encoder, and its motor; there is no gear.
 
     inertia_kg_m2            moment of inertia of motor and load, 1e-9..1e6
     viscous_friction_nm_s    friction torque for each rad/s, 0..1e6 Nm s/rad
@@ -37,6 +40,14 @@ class MotorConfig:
                              against positive motion
     load_at_s                time of the machine, 0..1e9 s
     brake_torque_nm          of the holding brake, closed without power, 0..1e6 Nm; 0 = none, it coasts
+    node_id                  of the drive, 1..127
+    start_revolutions        where the shaft stands at the start, -1e6..1e6 revolutions
+    motor_increments         of an encoder on the motor in a revolution, 0..4294967295: 6063h is then its
+                             position at the SYNC; 0: there is none, and 6063h is that of the feedback
+    slip_revolutions         by which the coupling between motor and encoder slips, -1000..1000 revolutions,
+                             in half a second; 0: it holds
+    slip_at_s                when it begins to, time of the machine, 0..1e9 s
+    synchronous_feedback     true: the torque follows at the next SYNC (RPDO4 of type 1); false: at once (255)
     """
 
     inertia_kg_m2: float = 1e-3
@@ -47,6 +58,12 @@ class MotorConfig:
     load_torque_nm: float = 0.0
     load_at_s: float = 0.0
     brake_torque_nm: float = 0.0
+    node_id: int = 0x30
+    start_revolutions: float = 0.0
+    motor_increments: int = 0
+    slip_revolutions: float = 0.0
+    slip_at_s: float = 0.0
+    synchronous_feedback: bool = False
 
     def __post_init__(self) -> None:
         within(
@@ -59,16 +76,27 @@ class MotorConfig:
             load_torque_nm=(-1e6, 1e6),
             load_at_s=(0.0, 1e9),
             brake_torque_nm=(0.0, 1e6),
+            node_id=(1, 127),
+            start_revolutions=(-1e6, 1e6),
+            motor_increments=(0, 0xFFFFFFFF),
+            slip_revolutions=(-1000.0, 1000.0),
+            slip_at_s=(0.0, 1e9),
         )
+        flag("synchronous_feedback", self.synchronous_feedback)
+
+    def slipped(self, time_s: float) -> float:
+        """How far the encoder has fallen behind the motor, revolutions."""
+        part = min(1.0, max(0.0, (time_s - self.slip_at_s) / SLIP_S))
+        return self.slip_revolutions * (1.0 - math.cos(math.pi * part)) / 2.0
 
 
 class Motor:
     """Motion of the shaft; ``revolutions``, ``speed_rad_s`` and ``torque_nm`` at ``time_s``."""
 
-    def __init__(self, config: MotorConfig, revolutions: float = 0.0) -> None:
+    def __init__(self, config: DriveConfig) -> None:
         self.config = config
         self.time_s = 0.0
-        self.revolutions = revolutions
+        self.revolutions = config.start_revolutions
         self.speed_rad_s = 0.0
         self.torque_nm = 0.0
         self.command_nm = 0.0
@@ -175,55 +203,6 @@ def _cubic(before: tuple[float, float, float], after: tuple[float, float, float]
     return start + (end - start) * blend + bent
 
 
-@dataclass(frozen=True, kw_only=True)
-class DriveConfig(MotorConfig):
-    """A drive on the shaft of the encoder, and its motor.
-
-    node_id                of the drive, 1..127
-    start_revolutions      where the shaft stands at the start, -1e6..1e6 revolutions
-    motor_increments       of an encoder on the motor in a revolution, 0..4294967295: 6063h is then its
-                           position at the SYNC; 0: there is none, and 6063h is that of the feedback
-    slip_revolutions       by which the coupling between motor and encoder slips, -1000..1000 revolutions, in
-                           half a second; 0: it holds
-    slip_at_s              when it begins to, time of the machine, 0..1e9 s
-    synchronous_feedback   true: the torque follows at the next SYNC (RPDO4 of type 1); false: at once (255)
-    """
-
-    node_id: int = 0x30
-    start_revolutions: float = 0.0
-    motor_increments: int = 0
-    slip_revolutions: float = 0.0
-    slip_at_s: float = 0.0
-    synchronous_feedback: bool = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        within(
-            self,
-            node_id=(1, 127),
-            start_revolutions=(-1e6, 1e6),
-            motor_increments=(0, 0xFFFFFFFF),
-            slip_revolutions=(-1000.0, 1000.0),
-            slip_at_s=(0.0, 1e9),
-        )
-        flag("synchronous_feedback", self.synchronous_feedback)
-
-
-SLIP_S = 0.5  # it begins and ends gently, so that the tracks of the encoder show nothing of it
-
-
-@dataclass(frozen=True)
-class Coupling:
-    """From ``at_s`` of the time of the machine on the encoder falls behind by ``revolutions``, in 0.5 s."""
-
-    revolutions: float = 0.0
-    at_s: float = 0.0
-
-    def slipped(self, time_s: float) -> float:
-        part = min(1.0, max(0.0, (time_s - self.at_s) / SLIP_S))
-        return self.revolutions * (1.0 - math.cos(math.pi * part)) / 2.0
-
-
 class Plant(SilentDevice):
     """A motor that turns in the time of ``time_base`` from the first SYNC on, also while no SYNC comes.
 
@@ -265,12 +244,12 @@ class Plant(SilentDevice):
 
 
 class PlantSource:
-    """The encoder on the shaft of a plant, behind a ``coupling``."""
+    """The encoder on the shaft of a plant, behind a coupling that may slip."""
 
-    def __init__(self, shaft: ShaftEncoder, plant: Plant, coupling: Coupling | None = None) -> None:
-        self._shaft, self._plant, self._coupling = shaft, plant, coupling or Coupling()
+    def __init__(self, shaft: ShaftEncoder, plant: Plant) -> None:
+        self._shaft, self._plant = shaft, plant
         self._last_s = 0.0
-        self._last_revolutions = plant.motor.revolutions - self._coupling.slipped(0.0)
+        self._last_revolutions = plant.motor.revolutions - plant.motor.config.slipped(0.0)
 
     @property
     def position_cycles(self) -> float:
@@ -284,14 +263,14 @@ class PlantSource:
         return self._sample(0.0)
 
     def _sample(self, ahead_s: float) -> Sample:
-        motor = self._plant.motor
+        motor, slipped = self._plant.motor, self._plant.motor.config.slipped
         time_s = motor.time_s - ahead_s
         from_s, start = self._last_s, self._last_revolutions
-        end = motor.revolutions_before(ahead_s) - self._coupling.slipped(time_s)
+        end = motor.revolutions_before(ahead_s) - slipped(time_s)
 
         def between(at_s: float) -> float:
             if not from_s < at_s < time_s:
-                return motor.revolutions_before(motor.time_s - at_s) - self._coupling.slipped(at_s)
+                return motor.revolutions_before(motor.time_s - at_s) - slipped(at_s)
             return start + (end - start) * (at_s - from_s) / (time_s - from_s)
 
         self._last_s, self._last_revolutions = time_s, end
