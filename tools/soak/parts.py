@@ -14,7 +14,7 @@ from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
-from canfb.simulation.embedded_bus import PacedDevice
+from canfb.simulation.embedded_bus import SimulatedDevice
 from canfb.sources.protocol import SourceError
 
 AMPLITUDE_COUNTS = 1500.0
@@ -132,7 +132,7 @@ class WatchedModule(FeedbackModule):
         return super().receive(frame, now)
 
 
-class OtherNode(PacedDevice):
+class OtherNode(SimulatedDevice):
     """A node with a heartbeat and nothing else; it comes and goes."""
 
     def __init__(self, node_id: int, period_s: float) -> None:

@@ -29,31 +29,20 @@ from canfb.timing.grid import Grid
 OLDEST_S = 10.0
 
 
-class TimeBase(Protocol):
-    """The time of the machine, as a node has it; one that is simulated may be another than the true time."""
+class TimeBase:
+    """The time of the machine, as a node has it: the true time; one that is simulated may have another."""
 
     def received_at(self, frame: Frame, now: float) -> float:
-        """The time of the machine, seconds, at which ``frame`` was received that is handled at ``now``."""
+        """The time of the machine, seconds, at which ``frame`` was received that is handled at ``now``.
 
-    def at(self, now: float) -> float:
-        """The time of the machine, seconds, at ``now``."""
-
-
-class TrueTime:
-    """The machine turns in true time: at the clock of the bus where there is one."""
-
-    def received_at(self, frame: Frame, now: float) -> float:
-        """Receive time on the clock of ``now``; a time stamp ahead of it, or 10 s behind, is of another
-        clock: ``now``.
+        A time stamp ahead of ``now``, or 10 s behind it, is of another clock.
         """
         stamp = frame.timestamp
         return now if stamp is None or not now - OLDEST_S <= stamp <= now else stamp
 
     def at(self, now: float) -> float:
+        """The time of the machine, seconds, at ``now``."""
         return now
-
-
-TRUE_TIME = TrueTime()
 
 
 TICKS_PER_S = 10_000_000  # units of 100 ns
@@ -145,7 +134,7 @@ def _together(samples: list[Sample | None], passed_s: list[float] | None) -> Sam
 class MachineNode(NodeDevice):
     """``received_s``: when the frame was received that is handled now, in the time of the machine."""
 
-    time_base: TimeBase = TRUE_TIME
+    time_base = TimeBase()
     received_s = 0.0
 
     def machine_now(self) -> float:
@@ -264,6 +253,16 @@ class FastRecorder:
 
 EDS = "encoder-interface"
 PLACES = 65536  # 2000:03 counts the sample interval in 1/65536
+SAMPLE_OBJECTS = (
+    od.INTERFACE_SINE,
+    od.INTERFACE_COSINE,
+    od.INTERFACE_COARSE_SINE,
+    od.INTERFACE_COARSE_COSINE,
+    od.INTERFACE_SAMPLE_TIME,
+    od.INTERFACE_FLAGS,
+    od.INTERFACE_ZERO_PULSE_PLACE,
+    *(channel for pair in od.INTERFACE_EARLIER for channel in pair),
+)
 
 
 class EncoderInterface(MachineNode):
@@ -317,15 +316,9 @@ class EncoderInterface(MachineNode):
         self.samples = 0  # Samples sent.
         self.missed = 0  # SYNCs in OPERATIONAL for which the source had none, before its end.
         self._silent = False
-        entry = self.dictionary.entry
-        self._sine, self._cosine = entry(*od.INTERFACE_SINE), entry(*od.INTERFACE_COSINE)
-        self._coarse_sine = entry(*od.INTERFACE_COARSE_SINE)
-        self._coarse_cosine = entry(*od.INTERFACE_COARSE_COSINE)
-        self._time, self._flags = entry(*od.INTERFACE_SAMPLE_TIME), entry(*od.INTERFACE_FLAGS)
-        self._place = entry(*od.INTERFACE_ZERO_PULSE_PLACE)
-        self._earlier = [tuple(entry(*part) for part in pair) for pair in od.INTERFACE_EARLIER]
         tpdos = numbers(self.dictionary, Direction.TRANSMIT)
-        parameters = COMMUNICATION[Direction.TRANSMIT] - 1
+        entry, parameters = self.dictionary.entry, COMMUNICATION[Direction.TRANSMIT] - 1
+        self._entries = {place: entry(*place) for place in SAMPLE_OBJECTS}
         self._cob_ids = [entry(parameters + number, 1) for number in tpdos]
         self._types = {number: entry(parameters + number, 2) for number in tpdos}
 
@@ -365,20 +358,24 @@ class EncoderInterface(MachineNode):
         return self.source.next() if self._machine is None else self._machine.sample_at(self.received_s)
 
     def _keep(self, sample: Sample) -> None:
+        """An object keeps the value of before where the sample has none for it."""
         sine, cosine, _, invalid, coarse_sine, coarse_cosine, pulse, time_100ns, pairs = sample
-        self._sine.value, self._cosine.value = sine, cosine
-        if coarse_sine is not None and coarse_cosine is not None:
-            self._coarse_sine.value, self._coarse_cosine.value = coarse_sine, coarse_cosine
-        for entries, pair in zip(self._earlier, pairs, strict=False):
-            for channel, counts in zip(entries, pair, strict=True):
-                channel.value = counts
         taken_s = self.received_s if self._several is None else self._several.newest_s
-        self._time.value = self._clock.ticks(taken_s) if time_100ns is None else time_100ns
-        flags = od.SampleFlag.INVALID if invalid else 0
-        if pulse is not None:
-            flags |= od.SampleFlag.ZERO_PULSE
-            self._place.value = min(int(pulse * PLACES), PLACES - 1)
-        self._flags.value = flags
+        has_pulse = od.SampleFlag.ZERO_PULSE if pulse is not None else 0
+        values = {
+            od.INTERFACE_SINE: sine,
+            od.INTERFACE_COSINE: cosine,
+            od.INTERFACE_COARSE_SINE: coarse_sine,
+            od.INTERFACE_COARSE_COSINE: coarse_cosine,
+            od.INTERFACE_SAMPLE_TIME: self._clock.ticks(taken_s) if time_100ns is None else time_100ns,
+            od.INTERFACE_FLAGS: has_pulse | (od.SampleFlag.INVALID if invalid else 0),
+            od.INTERFACE_ZERO_PULSE_PLACE: None if pulse is None else min(int(pulse * PLACES), PLACES - 1),
+        }
+        for places, pair in zip(od.INTERFACE_EARLIER, pairs, strict=False):
+            values |= zip(places, pair, strict=True)
+        for place, value in values.items():
+            if value is not None:
+                self._entries[place].value = value
 
     def reset_done(self, communication_only: bool, now: float) -> None:
         self._reported = False

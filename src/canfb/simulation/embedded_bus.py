@@ -72,12 +72,9 @@ class SyncDeviation:
         self._rng = np.random.default_rng((seed, 0x80))
         self._largest_s = LARGEST_PART * period_s
         self.period_s = period_s / (1.0 + timing.sync_drift_ppm * 1e-6)  # The period in true time, seconds.
-        self._none = timing.sync_jitter_us == timing.sync_jitter_rms_us == timing.bus_load == 0.0
 
     def next_s(self) -> float:
         """Seconds by which the next SYNC goes out late (or, negative, early)."""
-        if self._none:
-            return 0.0
         timing, rng = self._timing, self._rng
         off_us = timing.sync_jitter_us * float(rng.uniform(-1.0, 1.0))
         off_us += timing.sync_jitter_rms_us * max(-CUT_OFF, min(CUT_OFF, float(rng.normal())))
@@ -87,26 +84,16 @@ class SyncDeviation:
         return max(-self._largest_s, min(self._largest_s, off_s))
 
 
-class SilentDevice:
-    """A device that sends nothing and waits for no time; a subclass overrides what it does beyond that."""
+class SimulatedDevice:
+    """A device that sends a frame at ``_next_s``, None: none; a subclass overrides what it does beyond."""
+
+    _next_s: float | None = None
 
     def start(self, now: float) -> list[Frame]:
         return []
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         return []
-
-    def tick(self, now: float) -> list[Frame]:
-        return []
-
-    def deadline(self) -> float | None:
-        return None
-
-
-class PacedDevice(SilentDevice):
-    """A device that sends at ``_next_s``; None: not at all."""
-
-    _next_s: float | None = None
 
     def deadline(self) -> float | None:
         return self._next_s
@@ -118,7 +105,7 @@ class PacedDevice(SilentDevice):
         raise NotImplementedError
 
 
-class SyncProducer(PacedDevice):
+class SyncProducer(SimulatedDevice):
     """Sends a SYNC each ``period_s`` seconds from power-on; those that are overdue are left out."""
 
     def __init__(self, period_s: float, timing: SyncTiming = REGULAR, seed: int = 1) -> None:
@@ -218,7 +205,7 @@ class WatchedSyncProducer(SyncProducer):
         self._report = report
         self._advice = advice
         self._window_s = max(WINDOW_S, WINDOW_SYNCS * period_s)
-        self._began_s: float | None = None
+        self._began_s = -math.inf  # of the window; before the first one
         self._own = self._foreign = 0
         self._said_s = -math.inf
 
@@ -231,18 +218,16 @@ class WatchedSyncProducer(SyncProducer):
         return []
 
     def bus_back(self, now: float) -> list[Frame]:
-        self._said_s, self._began_s = -math.inf, None
+        self._said_s = self._began_s = -math.inf
         return []
 
     def _due(self, due_s: float, now: float) -> Frame:
-        if self._began_s is None:
-            self._began_s, self._own, self._foreign = now, 0, 0
-        else:
-            self._own += 1
-            passed = now - self._began_s
-            if passed >= self._window_s:
+        self._own += 1
+        passed = now - self._began_s
+        if passed >= self._window_s:
+            if passed < math.inf:
                 self._judge(self._own / passed, self._foreign / passed, now)
-                self._began_s, self._own, self._foreign = now, 0, 0
+            self._began_s, self._own, self._foreign = now, 0, 0
         return super()._due(due_s, now)
 
     def _judge(self, own_hz: float, foreign_hz: float, now: float) -> None:
@@ -415,7 +400,7 @@ class EmbeddedBus:
                 self._put(participant, answers)
 
 
-class BackgroundTraffic(PacedDevice):
+class BackgroundTraffic(SimulatedDevice):
     """Frames of 0 to 8 bytes at random times that load a bus for a part ``load`` of the time, 0..0.95."""
 
     def __init__(self, load: float, bit_rate: int, seed: int = 1) -> None:

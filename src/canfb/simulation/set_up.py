@@ -16,13 +16,12 @@ import numpy as np
 from canfb import objects as od
 from canfb.checks import number_in
 from canfb.cia301 import cob
-from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.node import Device
-from canfb.device.od.dictionary import Dictionary, refuse_if
+from canfb.device.od.dictionary import Dictionary
 from canfb.errors import ConfigError
-from canfb.interface.encoder_interface import EncoderInterface
+from canfb.interface.encoder_interface import EncoderInterface, TimeBase
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration
@@ -32,7 +31,7 @@ from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant, PlantSource
 from canfb.simulation.embedded_bus import (
     IN_SLOW_MOTION,
     IN_TRUE_TIME,
-    SilentDevice,
+    SimulatedDevice,
     WatchedSyncProducer,
 )
 from canfb.simulation.encoder import MotionSource, StoppableMotion
@@ -202,7 +201,7 @@ def simulated_axis(
     return ServoDrive(plant, module, autostart=autostart), PlantSource(shaft, plant)
 
 
-class SampleRecorder(SilentDevice):
+class SampleRecorder(SimulatedDevice):
     """Keeps the sample of each SYNC from the first one on; attach it behind the ``interface``."""
 
     def __init__(self, interface: EncoderInterface) -> None:
@@ -231,7 +230,7 @@ class SampleRecorder(SilentDevice):
         return []
 
 
-class SlowMotion(SilentDevice):
+class SlowMotion(SimulatedDevice, TimeBase):
     """A time base: one nominal interval with each SYNC, however late it is. Attach it before its nodes.
 
     ``dictionary``, of the node that samples, says which frame is the SYNC and, in 1006h, how long the
@@ -257,25 +256,20 @@ class SlowMotion(SilentDevice):
         return self.time_s
 
 
-class MachineSwitch:
-    """Object 2060h of the interface: 1 lets its machine run, 0 stops it; 08000022h where it cannot be
-    stopped.
-    """
+def let_machine_stop(interface: EncoderInterface) -> None:
+    """Object 2060h of the interface: 1 lets its machine run, 0 stops it. Only a motion can be stopped."""
+    source, entry = interface.source, interface.dictionary.entry(*od.INTERFACE_MACHINE)
+    if not isinstance(source, MotionSource) or not isinstance(source.motion, StoppableMotion):
+        return
+    motion = source.motion
 
-    def __init__(self, interface: EncoderInterface) -> None:
-        entry, source = interface.dictionary.entry(*od.INTERFACE_MACHINE), interface.source
-        self._source = source if isinstance(source, MotionSource) else None
-        motion = getattr(source, "motion", None)
-        self._motion = motion if isinstance(motion, StoppableMotion) else None
-        self._entry, self._now = entry, interface.machine_now
-        entry.on_check = refuse_if(lambda value: self._motion is None, AbortCode.DEVICE_STATE)
-        entry.on_written = self._obey
-        entry.on_read = lambda: int(self._motion is None or self._motion.running)
+    def obey() -> None:
+        running = entry.value == od.MachineCommand.START
+        motion.run(running, source.machine_time(interface.machine_now()))
 
-    def _obey(self) -> None:
-        if self._motion is not None and self._source is not None:
-            running = self._entry.value == od.MachineCommand.START
-            self._motion.run(running, self._source.machine_time(self._now()))
+    entry.on_check = None
+    entry.on_written = obey
+    entry.on_read = lambda: int(motion.running)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -330,7 +324,7 @@ def set_up(
         samples_per_sync=module.samples_per_sync,
         clock=simulation.sample_clock(),
     )
-    MachineSwitch(interface)
+    let_machine_stop(interface)
     # The machine first: it must have moved when the SYNC comes to the others.
     devices: list[Device] = [interface] if drive is None else [drive.plant, interface, drive]
     advice = IN_TRUE_TIME

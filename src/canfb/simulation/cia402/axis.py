@@ -163,7 +163,6 @@ class Axis:
         self._motor_increments = motor_increments
         self._on_mode = on_mode  # Called when 6060h was written.
         self._trajectory = Trajectory()
-        self._too_far_since_s: float | None = None
         entry = dictionary.entry
         self._target, self._mode, self._display = entry(0x607A), entry(0x6060), entry(0x6061)
         self._lowest, self._highest = entry(0x607D, 1), entry(0x607D, 2)
@@ -200,7 +199,7 @@ class Axis:
         self._loop.reset()
         self._place()
         self._new_target = self._braking = False
-        self._too_far_since_s = None
+        self._outside_since_s = math.inf
         self._demand = Demand(self._trajectory.position / self.scaling.units)
         self._demanded_rad_s = 0.0  # speed of the demand as it comes, before it is limited
         self._limited = False
@@ -248,13 +247,9 @@ class Axis:
         return torque
 
     def follows_badly(self, now: float) -> bool:
-        if not self._is_outside():
-            self._too_far_since_s = None
-        elif self._too_far_since_s is None:
-            self._too_far_since_s = now
-        since_s = self._too_far_since_s
+        self._outside_since_s = min(self._outside_since_s, now) if self._is_outside() else math.inf
         # Sums of times round: a whole number of periods must count as such.
-        return since_s is not None and now - since_s >= self._error_time.value / 1000.0 - 1e-9
+        return bool(now - self._outside_since_s >= self._error_time.value / 1000.0 - 1e-9)
 
     def power_off(self) -> None:
         self._torque_demand.value = 0
@@ -267,16 +262,12 @@ class Axis:
         return bool(changed)
 
     def status(self, enabled: bool) -> int:
-        bits = 0
-        if not enabled:
-            return bits
-        if self._limited or self._loop.limited:
-            bits |= Status.INTERNAL_LIMIT
-        if self._is_outside():
-            bits |= Status.FOLLOWING_ERROR
-        if self.mode == CYCLIC_SYNCHRONOUS_POSITION:
-            bits |= Status.FOLLOWS_TARGET
-        return int(bits)
+        bits = {
+            Status.INTERNAL_LIMIT: self._limited or self._loop.limited,
+            Status.FOLLOWING_ERROR: self._is_outside(),
+            Status.FOLLOWS_TARGET: self.mode == CYCLIC_SYNCHRONOUS_POSITION,
+        }
+        return sum(bit for bit, is_set in bits.items() if is_set and enabled)
 
     def _move(self, period_s: float) -> None:
         trajectory, mode = self._trajectory, self.mode

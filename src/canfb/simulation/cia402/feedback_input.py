@@ -38,7 +38,7 @@ class FeedbackInput:
         self._range, self._tolerated = entry(0x2110, 5), entry(0x2110, 6)
         self._largest = entry(0x2110, 9)
         self._increments, self._turns = entry(0x60E6, 1), entry(0x60EB, 1)
-        self._wrong_entry, self._used, self._missed = (entry(0x2111, sub) for sub in (1, 2, 3))
+        self._wrong, self._used, self._missed = (entry(0x2111, sub) for sub in (1, 2, 3))
         entry(0x2110, 4)  # the residual: there to be read
         self.position = 0  # Increments of the feedback, unwrapped.
         self.speed = 0.0  # Revolutions per second, the mean over the last interval, in true time.
@@ -46,19 +46,15 @@ class FeedbackInput:
 
     @property
     def wrong(self) -> Wrong:
-        return Wrong(self._wrong_entry.value)
-
-    @wrong.setter
-    def wrong(self, what: Wrong) -> None:
-        self._wrong_entry.value = int(what)
+        return Wrong(self._wrong.value)
 
     def reset(self) -> None:
-        self.wrong = Wrong.MISSING
+        self._wrong.value = Wrong.MISSING
         self.lose()
 
     def lose(self) -> None:
         """No position can come any more, or none could so far; what an EMCY has said stays."""
-        self.wrong = self.wrong & Wrong.EMERGENCY | Wrong.MISSING
+        self._wrong.value = self.wrong & Wrong.EMERGENCY | Wrong.MISSING
         self._last: int | None = None
         self._since_pdo = 0  # SYNCs since the last PDO
         self._open = 0  # SYNCs whose positions have not come, since the last one that was used
@@ -86,17 +82,17 @@ class FeedbackInput:
         if self._since_pdo > 1:
             self._missed.value = (self._missed.value + 1) & 0xFFFFFFFF
         if self._since_pdo - 1 > self._tolerated.value:
-            self.wrong |= Wrong.MISSING
+            self._wrong.value |= Wrong.MISSING
 
     def emergency(self, code: int) -> None:
         if code == 0:
-            self.wrong &= ~Wrong.EMERGENCY
+            self._wrong.value &= ~Wrong.EMERGENCY
         elif code & 0xFF00 == SENSOR_CODES:
-            self.wrong |= Wrong.EMERGENCY
+            self._wrong.value |= Wrong.EMERGENCY
 
     def boot_up(self) -> None:
-        self.wrong &= ~Wrong.EMERGENCY
-        self.wrong |= Wrong.MISSING
+        self._wrong.value &= ~Wrong.EMERGENCY
+        self._wrong.value |= Wrong.MISSING
         self._last = None
 
     def take(self, largest_speed: float, interval_s: float, *, supervised: bool) -> bool:
@@ -106,13 +102,13 @@ class FeedbackInput:
         new beginning, as after a preset.
         """
         self._since_pdo = 0
-        self.wrong &= Wrong.EMERGENCY
+        self._wrong.value &= Wrong.EMERGENCY
         if self._status.value & self._mask.value != self._expected.value & self._mask.value:
-            self.wrong |= Wrong.STATUS
+            self._wrong.value |= Wrong.STATUS
             return False
         raw, full = self._value.value & 0xFFFFFFFF, self._range.value or U32_RANGE
         if raw >= full:
-            self.wrong |= Wrong.RANGE
+            self._wrong.value |= Wrong.RANGE
             return False
         return self._step(raw, full, largest_speed, interval_s, supervised)
 
@@ -131,7 +127,7 @@ class FeedbackInput:
                 self._last = raw
             return False
         if too_far and supervised:
-            self.wrong |= Wrong.STEP
+            self._wrong.value |= Wrong.STEP
             self._last = None  # from here on, when it is believed again
             return False
         self.position += step

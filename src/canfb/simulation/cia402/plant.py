@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from canfb.checks import flag, within
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
-from canfb.interface.encoder_interface import TRUE_TIME, TimeBase
+from canfb.interface.encoder_interface import TimeBase
 from canfb.signal.sample import Sample
-from canfb.simulation.embedded_bus import SilentDevice
+from canfb.simulation.embedded_bus import SimulatedDevice
 from canfb.simulation.encoder import ShaftEncoder
 
 LONGEST_STEP_S = 1e-4
@@ -203,7 +203,7 @@ def _cubic(before: tuple[float, float, float], after: tuple[float, float, float]
     return start + (end - start) * blend + bent
 
 
-class Plant(SilentDevice):
+class Plant(SimulatedDevice):
     """A motor that turns in the time of ``time_base`` from the first SYNC on, also while no SYNC comes.
 
     It must get the SYNC before those who sample or drive it: attach it first.
@@ -212,7 +212,7 @@ class Plant(SilentDevice):
     def __init__(self, motor: Motor) -> None:
         self.motor = motor
         self.syncs = 0
-        self.time_base: TimeBase = TRUE_TIME
+        self.time_base = TimeBase()
         self._now_s: float | None = None  # time up to which the motor has turned
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
