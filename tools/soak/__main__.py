@@ -51,17 +51,17 @@ class Resources(NamedTuple):
 
 
 def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
-    world = World(setup, seed)
-    looks: list[Resources] = []
-
-    def look() -> None:
-        done = world.found.cycles / cycles
-        if done >= WARM + len(looks) * (1.0 - WARM) / LOOKS:
-            looks.append(Resources.now())
-
+    """So many cycles of SYNC, with one of the disturbances after the other."""
+    world, disturbances = World(setup, seed), disturbances_of(setup)
+    found, looks = world.found, list[Resources]()
     began = time.perf_counter()
     try:
-        found = world.run(cycles, disturbances_of(setup), look)
+        while found.cycles < cycles:
+            world.pass_(world.rng.uniform(0.05, 0.5))
+            name = world.rng.choice(sorted(disturbances))
+            world.suffer(name, disturbances[name])
+            if found.cycles / cycles >= WARM + len(looks) * (1.0 - WARM) / LOOKS:
+                looks.append(Resources.now())
     finally:
         world.close()
     elapsed_s = time.perf_counter() - began

@@ -11,8 +11,7 @@ from canfb.cia301.codes import NmtCommand
 from canfb.cia301.frame import Frame
 from canfb.signal.correction import CorrectionTable
 from tools.soak.hosted import Hosted
-from tools.soak.parts import rests
-from tools.soak.world import INTERFACE, INTERVAL_S, MODULE, OTHER, SAMPLES, SYNC, Setup, World
+from tools.soak.world import INTERFACE, INTERVAL_S, MODULE, OTHER, SAMPLES, SYNC, Setup, World, rests
 
 EDS, NAME = (0x1021, 0), (0x1008, 0)
 TABLE = CorrectionTable.identity(64)
@@ -37,20 +36,17 @@ def samples_lost(world: World) -> None:
 
 def bus_off(world: World) -> None:
     """The controller is bus-off for a while, or the cable is pulled out and nobody says so."""
-    world.pause_begins()
-    world.interruptions += 1
+    world.interrupt()
+    device = world.hosted or world.module
     reported = world.rng.random() < 0.7
-    world.cable.pulled = True
-    if world.hosted is not None:
-        world.hosted.bus.full = True
-    if reported:
-        world.happens("bus_off")
-    world.pass_(world.rng.uniform(0.002, LONGEST_GAP_S))
-    world.cable.pulled = False
-    if world.hosted is not None:
-        world.hosted.bus.full = False
-    if reported:
-        world.happens("restarted")
+    for pulled, event in ((True, device.bus_off), (False, device.bus_back)):
+        world.cable.pulled = pulled
+        if world.hosted is not None:
+            world.hosted.bus.full = pulled
+        if reported:
+            world.bus_event(event)
+        if pulled:
+            world.pass_(world.rng.uniform(0.002, LONGEST_GAP_S))
 
 
 def nmt_pause(world: World) -> None:
@@ -67,11 +63,10 @@ def reset(world: World) -> None:
 
 
 def node_goes(world: World) -> None:
-    world.pause_begins()
-    world.interruptions += 1
-    world.other.is_there = False
+    world.interrupt()
+    world.other.pulled = True
     world.pass_(world.rng.uniform(0.2, 0.8))
-    world.other.is_there = True
+    world.other.pulled = False
 
 
 def interface_goes(world: World) -> None:
@@ -173,19 +168,18 @@ def stall(world: World) -> None:
 
 def long_stall(world: World) -> None:
     """The process gets no processor for so long (or is stopped: SIGSTOP) that its socket overflows."""
-    world.pause_begins()
-    world.interruptions += 1
+    world.interrupt()
     hosted_of(world).stalled_until_s = world.bus.now + world.rng.uniform(SHORT_STALL_S, LONG_STALL_S)
     world.pass_(2.0 * LONG_STALL_S)
 
 
 def link_down(world: World) -> None:
     """`ip link set can0 down`, and up again."""
-    world.pause_begins()
-    world.interruptions += 1
-    world.happens("down")
+    world.interrupt()
+    hosted = hosted_of(world)
+    world.bus_event(hosted.down)
     world.pass_(world.rng.uniform(0.002, LONGEST_GAP_S))
-    world.happens("up")
+    world.bus_event(hosted.bus_back)
 
 
 def queue_full(world: World) -> None:

@@ -63,8 +63,8 @@ class Hosted:
 
     def __init__(self, device: Device, report: Callable[[str], None]) -> None:
         self.stalled_until_s = -math.inf
-        self.bus = Socket(self._wait_for_frames, lambda: WALL_S + self._now + self.set_s)
         self.set_s = 0.0
+        self.bus = Socket(self._wait_for_frames, self._wall)
         self._now = 0.0
         self._wake_s = math.inf
         self._reading = False
@@ -74,7 +74,7 @@ class Hosted:
             report=report,
             clock=lambda: self._now,
             sleep=lambda seconds: self._park(self._now + seconds),
-            wall=lambda: WALL_S + self._now + self.set_s,
+            wall=self._wall,
         )
         self._turns = _Turns(self.runner.run)
 
@@ -84,33 +84,45 @@ class Hosted:
             self._turns.go_on()
 
     def start(self, now: float) -> list[Frame]:
-        self._now = now
         self._turns.thread.start()
-        self._turns.go_on()
-        return self.bus.taken()
+        return self.tick(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         self._now = now
-        return self._go_on() if self.bus.put(frame) and self._reading else []
+        return self._wake(now) if self.bus.put(frame.can_id | REMOTE * frame.rtr, frame.data) else []
 
     def deadline(self) -> float:
         return max(self._wake_s, self.stalled_until_s)
 
     def tick(self, now: float) -> list[Frame]:
         self._now = now
-        return self._go_on()
-
-    def happen(self, event: Callable[[], None], now: float) -> list[Frame]:
-        """Something happens to the bus, such as :meth:`Socket.down`; what is sent then."""
-        self._now = now
-        event()
-        return self._go_on() if self._reading else []
-
-    def _go_on(self) -> list[Frame]:
-        if self._now < self.stalled_until_s:
+        if now < self.stalled_until_s:
             return []
         self._turns.go_on()
         return self.bus.taken()
+
+    def down(self, now: float) -> list[Frame]:
+        """`ip link set can0 down`: what waits in the socket stays there."""
+        self.bus.down = True
+        return self._wake(now)
+
+    def bus_off(self, now: float) -> list[Frame]:
+        return self._error(ERROR_BUS_OFF, now)
+
+    def bus_back(self, now: float) -> list[Frame]:
+        self.bus.down = False
+        return self._error(ERROR_RESTARTED, now)
+
+    def _error(self, error: int, now: float) -> list[Frame]:
+        self._now = now
+        self.bus.keep(ERROR | error)
+        return self._wake(now)
+
+    def _wake(self, now: float) -> list[Frame]:
+        return self.tick(now) if self._reading else []
+
+    def _wall(self) -> float:
+        return WALL_S + self._now + self.set_s
 
     def _wait_for_frames(self, wait_s: float) -> None:
         self._reading = True
@@ -123,65 +135,47 @@ class Hosted:
 
 
 class Socket:
-    """The bus of the runner.
-
-    full     the queue of the interface takes no frame
-    dropped  frames that found SOCKET_FRAMES others
-    """
+    """The bus of the runner; ``full``: the queue of the interface takes no frame."""
 
     def __init__(self, wait: Callable[[float], None], wall: Callable[[], float]) -> None:
-        self.full = False
-        self.dropped = 0
+        self.full = self.down = False
         self._wait, self._wall = wait, wall
-        self._down = False
         self._waiting: deque[Received] = deque()
         self._sent: list[Frame] = []
         self._heard: frozenset[int] | None = None
 
-    def put(self, frame: Frame) -> bool:
+    def put(self, can_id: int, data: bytes) -> bool:
         """A frame comes over the wire; False if nobody hears it."""
-        if self._down or (self._heard is not None and frame.can_id not in self._heard):
+        if self.down or (self._heard is not None and can_id & ~REMOTE not in self._heard):
             return False
-        return self._keep((frame.can_id | (REMOTE if frame.rtr else 0), frame.data, self._wall()))
+        return self.keep(can_id, data)
 
-    def bus_off(self) -> None:
-        self._keep((ERROR | ERROR_BUS_OFF, bytes(8), self._wall()))
-
-    def restarted(self) -> None:
-        self._keep((ERROR | ERROR_RESTARTED, bytes(8), self._wall()))
-
-    def down(self) -> None:
-        """`ip link set can0 down`: what waits in the socket stays there."""
-        self._down = True
-
-    def up(self) -> None:
-        self._down = False
-        self.restarted()
+    def keep(self, can_id: int, data: bytes = bytes(8)) -> bool:
+        """False if as many wait as there is room for."""
+        if len(self._waiting) < SOCKET_FRAMES:
+            self._waiting.append((can_id, data, self._wall()))
+            return True
+        return False
 
     def taken(self) -> list[Frame]:
         sent, self._sent = self._sent, []
         return sent
 
-    def _keep(self, received: Received) -> bool:
-        if len(self._waiting) >= SOCKET_FRAMES:
-            self.dropped += 1
-            return False
-        self._waiting.append(received)
-        return True
-
     def receive(self, wait_s: float) -> Received | None:
-        if wait_s > 0.0 and not self._waiting and not self._down:
+        if wait_s > 0.0 and not self._waiting and not self.down:
             self._wait(wait_s)
-        if self._down:
-            raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
+        self._fail_if_down()
         return self._waiting.popleft() if self._waiting else None
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
-        if self._down:
-            raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
+        self._fail_if_down()
         if not self.full:
             self._sent.append(Frame(can_id, data, remote))
         return not self.full
+
+    def _fail_if_down(self) -> None:
+        if self.down:
+            raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
         self._heard = None if can_ids is None else frozenset((*can_ids, *remote_can_ids))

@@ -7,38 +7,37 @@ import logging
 import math
 import random
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
 
 from canfb import objects as od
 from canfb.cia301.codes import NmtCommand, NmtState
 from canfb.cia301.frame import Frame
+from canfb.device.node import Device, NodeDevice
+from canfb.device.storage.storage import Changes, MemoryStore, Store
 from canfb.errors import CanfbError
 from canfb.hosting.event_log import EventLog
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.master.access import NodeAccess
+from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import apply_defaults
 from canfb.monitoring.bus_model import BusModel
 from canfb.objects import StatusBit
-from canfb.signal.sample import Feedback
+from canfb.signal.sample import Feedback, Sample
 from canfb.simulation.embedded_bus import REGULAR, EmbeddedBus, SyncProducer, SyncTiming
+from canfb.sources.protocol import SourceError
 from tools.soak.embedded_master import EmbeddedMaster
 from tools.soak.hosted import Hosted
-from tools.soak.parts import (
-    MAX_ACCELERATION_CYCLES_S2,
-    Cable,
-    Machine,
-    OtherNode,
-    SampledInterface,
-    SlowStore,
-    WatchedModule,
-    is_fast,
-    rests,
-)
 
 MODULE, INTERFACE, OTHER = 32, 16, 5
 SYNC, SAMPLES = 0x080, 0x180 + INTERFACE
+AMPLITUDE_COUNTS = 1500.0
+MOVE_S, REST_S = 1.4, 2.0
+TOP_CYCLES_S = 20_000.0
+MAX_ACCELERATION_CYCLES_S2 = TOP_CYCLES_S * math.pi / MOVE_S
+SAVE_POLLS, SAVES_UNTIL_FULL = 5, 9
 INTERVAL_S = 1e-3
 WRONG_CYCLES = 0.05
 RECOVERY_S = 12.0
@@ -46,24 +45,152 @@ LOST_S = 1.0  # then the master resets the module at the next rest, as canfb nod
 PAUSE_S = 1.2  # longest time without SYNC or OPERATIONAL
 MASTER_S, HEARTBEAT_S, LOST_HEARTBEAT_MS = 0.1, 0.1, 500
 ANSWER_S = 0.2
-HEARTBEATS = (0x1016, 1)
+HEARTBEATS, HEARTBEAT_TIME = (0x1016, 1), (0x1017, 0)
 COUNTERS = range(1, 16)  # of 2012h
-COARSE = {
-    (0x1600, 0): 4,
-    (0x1600, 3): od.SAMPLE_COARSE_SINE.mapped(16),
-    (0x1600, 4): od.SAMPLE_COARSE_COSINE.mapped(16),
-}
-COARSE_SENT = {
-    (0x1A00, 0): 4,
-    (0x1A00, 3): od.INTERFACE_COARSE_SINE.mapped(16),
-    (0x1A00, 4): od.INTERFACE_COARSE_COSINE.mapped(16),
-}
 CYCLES = 2500
 RADIANS = 2.0 * math.pi / CYCLES
 SPARE = 1.05  # declared beyond what the machine does
 ACCELERATION = {"max_acceleration_rad_s2": SPARE * MAX_ACCELERATION_CYCLES_S2 * RADIANS}
 JITTER = SyncTiming(sync_jitter_us=20.0, sync_drift_ppm=-50.0)
-MOST_ON_THE_WAY = 4096  # samples
+
+logging.getLogger("canopen").setLevel(logging.CRITICAL)  # transfers are broken off on purpose
+
+
+def position_cycles(time_s: float) -> float:
+    """To and fro, with a rest at either end: v = top / 2 (1 - cos(2 pi t / MOVE_S))."""
+    moves, within = divmod(time_s, MOVE_S + REST_S)
+    t = min(within, MOVE_S)
+    way = TOP_CYCLES_S / 2.0 * (t - MOVE_S / (2.0 * math.pi) * math.sin(2.0 * math.pi * t / MOVE_S))
+    return 0.3 + (TOP_CYCLES_S / 2.0 * MOVE_S - way if moves % 2 else way)
+
+
+def rests(time_s: float, spare_s: float = 0.0) -> bool:
+    """Whether it stands still from now until ``spare_s`` later."""
+    within = time_s % (MOVE_S + REST_S)
+    return within >= MOVE_S and within + spare_s < MOVE_S + REST_S
+
+
+def is_fast(time_s: float) -> bool:
+    """Whether it moves fast, and does so for a while."""
+    return 0.3 <= time_s % (MOVE_S + REST_S) <= 0.4
+
+
+class Machine:
+    """A source of samples with a coarse track, one cycle of it per revolution of ``cycles_per_revolution``.
+
+    ``broken``: the converter gives nothing.
+    """
+
+    def __init__(self, cycles_per_revolution: int) -> None:
+        self._per_revolution = cycles_per_revolution
+        self.broken = False
+        self.sampled_cycles = 0.0
+        """Where it was at the last sample."""
+
+    def sample_at(self, now: float) -> Sample:
+        if self.broken:
+            raise SourceError("the converter does not answer")
+        self.sampled_cycles = position = position_cycles(now)
+        coarse_sine, coarse_cosine = _tracks(position / self._per_revolution)
+        return Sample(*_tracks(position), coarse_sine=coarse_sine, coarse_cosine=coarse_cosine)
+
+    def next(self) -> Sample:
+        """Not asked: the interface knows when it samples."""
+        raise NotImplementedError
+
+
+def _tracks(position: float) -> tuple[int, int]:
+    angle = 2.0 * math.pi * (position % 1.0)
+    return round(AMPLITUDE_COUNTS * math.sin(angle)), round(AMPLITUDE_COUNTS * math.cos(angle))
+
+
+class Cable:
+    """A device behind a cable that can be pulled out, and that loses frames of some CAN-IDs.
+
+    losing   by CAN-ID: how many frames more do not arrive
+    stamp_s  by how much the clock of receive times is ahead; None: frames have none
+    """
+
+    def __init__(self, device: Device, stamp_s: float | None = None) -> None:
+        self._device, self.stamp_s = device, stamp_s
+        self.pulled = False
+        self.losing: dict[int, int] = {}
+        self.start, self.deadline = device.start, device.deadline
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        if self.pulled:
+            return []
+        if self.losing.get(frame.can_id):
+            self.losing[frame.can_id] -= 1
+            return []
+        if self.stamp_s is not None:
+            frame = frame._replace(timestamp=now + self.stamp_s)
+        return self._device.receive(frame, now)
+
+    def tick(self, now: float) -> list[Frame]:
+        frames = self._device.tick(now)
+        return [] if self.pulled else frames
+
+
+class Sampled(bytes):
+    """The data of an ADC PDO."""
+
+    position_cycles: float
+    """Where the machine truly was."""
+
+
+class SampledInterface(EncoderInterface):
+    """The data of its ADC PDOs are :class:`Sampled`."""
+
+    source: Machine
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        return [self._marked(one) if one.can_id == SAMPLES else one for one in super().receive(frame, now)]
+
+    def _marked(self, frame: Frame) -> Frame:
+        data = Sampled(frame.data)
+        data.position_cycles = self.source.sampled_cycles
+        return frame._replace(data=data)
+
+
+class WatchedModule(FeedbackModule):
+    """``truth_cycles``: where the machine was at the last sample that came."""
+
+    def __init__(self, config: ModuleConfig, store: Store) -> None:
+        self.truth_cycles = 0.0
+        super().__init__(config, store)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        if isinstance(frame.data, Sampled):
+            self.truth_cycles = frame.data.position_cycles
+        return super().receive(frame, now)
+
+
+class SlowStore(MemoryStore):
+    """Is asked some times before a save is done; one in nine fails, as on a full disk."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._begun: list[Changes] = []
+        self._polls = self._saves = 0
+
+    def begin(self, changes: Changes) -> None:
+        self._begun.append(changes)
+        self._polls = SAVE_POLLS
+
+    def ended(self) -> Collection[OSError | None]:
+        self._polls -= 1
+        if self._polls > 0:
+            return ()
+        begun, self._begun = self._begun, []
+        return [self._save(changes) for changes in begun]
+
+    def _save(self, changes: Changes) -> OSError | None:
+        self._saves += 1
+        if self._saves % SAVES_UNTIL_FULL == 0:
+            return OSError(28, "No space left on device")
+        self.save(changes)
+        return None
 
 
 @dataclass(frozen=True)
@@ -122,6 +249,11 @@ class Findings:
         return self.wrong + self.uncounted + self.not_recovered
 
 
+def _map_third_and_fourth(device: NodeDevice, mapping: int, *objects: od.Multiplexer) -> None:
+    mapped = {(mapping, sub): one.mapped(16) for sub, one in enumerate(objects, 3)}
+    apply_defaults(device.dictionary, mapped | {(mapping, 0): 4})
+
+
 class World:
     """Module, encoder interface, SYNC, master, monitor, and a node that comes and goes."""
 
@@ -130,7 +262,7 @@ class World:
         self.setup = setup
         self.rng = random.Random(f"{seed} {setup.name}")
         self.bus = bus = EmbeddedBus(setup.bit_rate)
-        self.machine = Machine(CYCLES, coarse=setup.coarse)
+        self.machine = Machine(CYCLES)
         config = ModuleConfig(
             node_id=MODULE, encoder_interface=INTERFACE, cycles_per_revolution=CYCLES, **setup.config
         )
@@ -143,61 +275,51 @@ class World:
             autostart=True,
         )
         if setup.coarse:
-            apply_defaults(self.module.dictionary, COARSE)
-            apply_defaults(self.interface.dictionary, COARSE_SENT)
-        self.hosted = Hosted(self.module, self._say) if setup.hosted else None
+            _map_third_and_fourth(self.module, 0x1600, od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE)
+            _map_third_and_fourth(
+                self.interface, 0x1A00, od.INTERFACE_COARSE_SINE, od.INTERFACE_COARSE_COSINE
+            )
+        self._log = logging.getLogger("canfb.hosting.event_log")
+        self._log.setLevel(logging.INFO)
+        self._log.addFilter(self._counts)
+        self.hosted = Hosted(self.module, self._log.info) if setup.hosted else None
         self.cable = Cable(self.hosted or self.module, 0.0 if setup.stamps else None)
-        self.other = OtherNode(OTHER, HEARTBEAT_S)
+        other = EncoderInterface(OTHER, Machine(CYCLES))
+        apply_defaults(other.dictionary, {HEARTBEAT_TIME: round(1e3 * HEARTBEAT_S)})
+        self.other = Cable(other)
         self.monitor = BusModel()
         self.syncs = self.feedbacks = 0
         self.interruptions = 0
         """Times at which cycles need not be counted: the position is lost, the module not OPERATIONAL."""
         self._was_valid = False  # since the last start
-        self._truths: dict[int, tuple[bytes, float]] = {}  # by the identity of the bytes of its PDO
-        self._truth = 0.0
         self._offset: int | None = None
         self._counted = 0
         self._next_s = self._synced_s = 0.0
         self._suffers = "the start"
         self._events = EventLog()
-        self._log = logging.getLogger("canfb.hosting.event_log")
-        self._log.setLevel(logging.INFO)
-        handler = logging.Handler()
-        handler.emit = lambda record: self._say("")  # type: ignore[method-assign]
-        self._log.handlers, self._log.propagate = [handler], False
         self._events.watch(self.module, self.module.events)
         self._events.begin()
         self._counters = [self.module.dictionary.entry(0x2012, sub) for sub in COUNTERS]
         self.module.on_feedback = self._judge
-        self.module.on_frame = self._arrives
-        self.interface.on_sample = self._leaves
         bus.observers.append(self._hear)
         self.producer = SyncProducer(INTERVAL_S, setup.timing, seed)
-        for device in (self.cable, self.interface, self.other, self.producer):
-            bus.attach(device)
+        participants: tuple[Device, ...] = (self.cable, self.interface, self.other, self.producer)
+        for one in participants:
+            bus.attach(one)
         self.master = EmbeddedMaster(bus, ANSWER_S)
         self.access = NodeAccess(self.master, MODULE, "module")
         self._configure()
 
     def close(self) -> None:
-        self._log.handlers, self._log.propagate = [], True
+        self._log.removeFilter(self._counts)
         self._log.setLevel(logging.NOTSET)
         if self.hosted is not None:
             self.hosted.close()
 
-    def run(
-        self,
-        cycles: int,
-        disturbances: Mapping[str, Callable[[World], None]],
-        look: Callable[[], None] = lambda: None,
-    ) -> Findings:
-        """So many cycles of SYNC, with one of the disturbances after the other."""
-        while self.found.cycles < cycles:
-            self.pass_(self.rng.uniform(0.05, 0.5))
-            name = self.rng.choice(sorted(disturbances))
-            self.suffer(name, disturbances[name])
-            look()
-        return self.found
+    def _counts(self, record: logging.LogRecord) -> bool:
+        """A filter: counts the lines of the log, and keeps them from the terminal."""
+        self.found.log_lines += 1
+        return False
 
     def suffer(self, name: str, disturbance: Callable[[World], None]) -> None:
         """One disturbance, until the position is right again and each cycle since is accounted for."""
@@ -264,6 +386,11 @@ class World:
         while not (rests(self.bus.now, PAUSE_S) if rest else is_fast(self.bus.now)):
             self.pass_(0.02)
 
+    def interrupt(self) -> None:
+        """A pause begins in which cycles need not be counted."""
+        self.pause_begins()
+        self.interruptions += 1
+
     def missed(self) -> int:
         """2012:01."""
         return int(self.module.dictionary.entry(*od.COUNTER_MISSED).value)
@@ -278,19 +405,9 @@ class World:
             self.access.write(*HEARTBEATS, "I", OTHER << 16 | LOST_HEARTBEAT_MS)
         self.nmt(NmtCommand.START)
 
-    def _say(self, line: str) -> None:
-        self.found.log_lines += 1
-
-    def happens(self, event: str) -> None:
-        """An event of the bus, by its name in :class:`tools.soak.hosted.Socket`."""
-        if self.hosted is not None:
-            frames = self.hosted.happen(getattr(self.hosted.bus, event), self.bus.now)
-        elif event == "bus_off":
-            self.module.bus_off(self.bus.now)
-            frames = []
-        else:
-            frames = self.module.bus_back(self.bus.now)
-        for frame in frames:
+    def bus_event(self, event: Callable[[float], list[Frame]]) -> None:
+        """The device learns something of its bus, and may send."""
+        for frame in event(self.bus.now):
             self.bus.send(frame)
 
     def valid(self) -> bool:
@@ -303,17 +420,6 @@ class World:
             self.found.cycles += 1
         self.monitor.receive(frame, now)
 
-    def _leaves(self, frame: Frame) -> None:
-        if frame.can_id == SAMPLES:
-            self._truths.pop(id(frame.data), None)
-            self._truths[id(frame.data)] = frame.data, self.machine.sampled_cycles
-            if len(self._truths) > MOST_ON_THE_WAY:
-                del self._truths[next(iter(self._truths))]
-
-    def _arrives(self, frame: Frame) -> None:
-        if frame.can_id == SAMPLES:
-            _, self._truth = self._truths.get(id(frame.data), (b"", self._truth))
-
     def _judge(self, feedback: Feedback, now: float) -> None:
         status = feedback.status
         self.feedbacks += 1
@@ -325,7 +431,7 @@ class World:
             return
         self.found.valid += 1
         self._was_valid = True
-        error = feedback.cycles + feedback.phase - self._truth
+        error = feedback.cycles + feedback.phase - self.module.truth_cycles
         if self._offset is None:
             self._offset = round(error)
         if abs(error - self._offset) > WRONG_CYCLES:
