@@ -15,9 +15,8 @@ import pytest
 
 from canfb.signal.bounded_motion import BoundedMotion, Spot, Window
 from tools.faults.machine import positions
-from tools.faults.samples.episodes import draw
-from tools.faults.samples.kinds import KINDS, Declared, State
-from tools.faults.samples.legal import LegalMotions, is_legal, least_bound, window
+from tools.faults.samples.episodes import KINDS, Declared, State, draw
+from tools.faults.samples.judge import LegalMotions, is_legal, least_bound, window
 
 TRIALS = 30
 BOUND = 0.1

@@ -22,9 +22,8 @@ from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, VALID
 from ideal_tracks import counts_at
 from tools.faults.machine import AMPLITUDE_COUNTS, positions, table_of
-from tools.faults.samples.episodes import Episode, chain_for, draw, play
+from tools.faults.samples.episodes import KINDS, Declared, Episode, Kind, State, chain_for, draw, play
 from tools.faults.samples.judge import judge
-from tools.faults.samples.kinds import KINDS, Declared, Kind, State, limits_of, make_chain
 
 EPISODES = 10
 MACHINES = {
@@ -127,8 +126,8 @@ def test_a_change_of_limits_in_a_doubt_never_gives_a_wrong_position(
 ) -> None:
     before, after = changes()[change]
     for episode in episodes(KINDS[kind], Declared(0.1), 8):
-        limits, at = limits_of(after), episode.fault + later
-        chain = make_chain(before)
+        limits, at = after.limits, episode.fault + later
+        chain = before.chain()
         chain.restart(0, float(episode.truth[1] - episode.truth[0]))
 
         def change_limits(chain: SignalChain, k: int, limits=limits, at=at) -> None:
@@ -153,12 +152,12 @@ def test_a_change_of_the_samples_per_sync_in_a_doubt_never_gives_a_wrong_positio
     for _ in range(15):
         u, speed = rng.uniform(-0.02, 0.02, (1, 60)), rng.uniform(-20.0, 20.0, 1)
         truth = positions(u, speed, rng, inside[None, :])[0].tolist()
-        chain = make_chain(_faster(whole, per_sync[0]))
+        chain = _faster(whole, per_sync[0]).chain()
         chain.restart(0, float(speed[0]) / per_sync[0])
         offset, taken = None, 0
         for k, count in enumerate(many):
             if k == change:
-                chain.set_limits(limits_of(_faster(whole, count)))
+                chain.set_limits(_faster(whole, count).limits)
             here = truth[taken : taken + count]
             taken += count
             if k == 19 and later is not None:
@@ -188,13 +187,13 @@ def test_a_change_of_the_period_in_a_doubt_never_gives_a_wrong_position(missed: 
         change = 20 + missed + later
         instants = np.concatenate((np.arange(change), change - 1.0 + 2.0 * np.arange(1, 30)))
         truth = positions(u, speed, np.random.default_rng(2), instants[None, :])[0]
-        chain = make_chain(slow)
+        chain = slow.chain()
         chain.sync_interval_s = 1e-3
         chain.restart(0, float(speed[0]))
         offset = None
         for k, position in enumerate(truth.tolist()):
             if k == change:
-                chain.set_limits(limits_of(fast))
+                chain.set_limits(fast.limits)
                 chain.sync_interval_s = 2e-3
             if 20 <= k < 20 + missed:
                 chain.miss()
@@ -223,12 +222,11 @@ def test_every_motion_of_a_small_grid_over_missing_samples(missed: int, speed: i
     machine = Declared(bound / GRID, 0.002)
     # What the phase error adds to a difference and the program's slack: fewer motions with a bound above it.
     wider = bound + 2 + missed
-    table = table_of(0.002)
     for differences in product((-bound, 0, bound), repeat=3):
         motion = [speed * k for k in range(12)]
         for one in (*differences, *[0] * (GOOD_AFTER + missed + 2 - len(differences))):
             motion.append(2 * motion[-1] - motion[-2] + one)
-        chain = make_chain(machine, table)
+        chain = machine.chain()
         chain.restart(0, speed / GRID)
         for position in motion[:12]:
             assert chain.step(Sample(*counts_at(position / GRID, AMPLITUDE_COUNTS))).valid

@@ -12,9 +12,8 @@ from canfb.simulation.faults import Samples
 from tools.faults.engine import Cell, Sums, Work, total
 from tools.faults.samples import campaign
 from tools.faults.samples.campaign import Player
-from tools.faults.samples.episodes import Episode, Published, draw, play
+from tools.faults.samples.episodes import KINDS, Declared, Episode, Published, State, draw, play
 from tools.faults.samples.judge import Cause, Verdict, judge, proof
-from tools.faults.samples.kinds import KINDS, Declared, State
 from tools.faults.samples.tracks import ENCODER, SETTINGS, judge_tracks
 
 SLOW, FAST = Declared(0.01), Declared(0.2)

@@ -30,8 +30,8 @@ from tools.faults.engine import (
     run,
     total,
 )
-from tools.faults.samples import kinds, tracks
-from tools.faults.samples.episodes import Episode, Published, chain_for, draw, play
+from tools.faults.samples import tracks
+from tools.faults.samples.episodes import KINDS, Declared, Episode, Published, State, chain_for, draw, play
 from tools.faults.samples.judge import Cause, Verdict, judge, proof
 
 CHUNK = 100
@@ -59,9 +59,7 @@ class Table(NamedTuple):
 
 TABLES = {
     "tracks": Table(tracks.TRACK_FAULTS, tracks.SETTINGS, tracks.draw, tracks_text),
-    "count": Table(
-        kinds.KINDS, {f"{one:g}": kinds.Declared(one) for one in (0.01, 0.05, 0.1, 0.2)}, draw, count_text
-    ),
+    "count": Table(KINDS, {f"{one:g}": Declared(one) for one in (0.01, 0.05, 0.1, 0.2)}, draw, count_text),
 }
 
 
@@ -151,7 +149,7 @@ def show(name: str, player: Player) -> str:
         cause = verdict.wrong[k].value if k in verdict.wrong else ""
         lines.append(
             f"{k:4} {episode.instants[k]:8.3f} {truth:17.4f} {episode.phase[k]:7.4f} "
-            f"{kinds.State(int(episode.state[k])).name:8} {position:16.4f} "
+            f"{State(int(episode.state[k])).name:8} {position:16.4f} "
             f"{int(published.status[k]):04X} {position - truth:+8.3f} {cause}"
         )
     lines.append(

@@ -4,20 +4,148 @@ A position is wrong if it is valid and ``wrong_cycles`` or more from the true on
 a legal motion through all samples so far that nothing flagged (:class:`LegalMotions`), and all of these are
 at that position: then the samples are those of a healthy machine that moved so (docs/supervision.md). Every
 other wrong position is *silent*: where legal motions to different positions fit, it was guessed.
+
+Whether samples can be those of a machine within its limits is decided by linear programming. Nodes are the
+instants of the samples, and virtual ones about one interval apart where samples are missing. A motion with
+the bound B is legal if the second divided differences of its nodes, times 2, are at most B; it fits the
+samples if it is within the phase error of each. This shares nothing with the estimator.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linprog
 
-from tools.faults.samples.episodes import LOST, Episode, Published
-from tools.faults.samples.kinds import State
-from tools.faults.samples.legal import LegalMotions, least_bound
+from tools.faults.machine import Array
+from tools.faults.samples.episodes import LOST, Episode, Published, State
 
 LEAD = 4  # good samples before the fault, from which the motions are followed
+HOLE = 1.5  # intervals between two samples, from which on there are virtual nodes
+SLACK = 1e-7  # of the bound, what the solver is exact to
+MOST_PATHS = 3000
+
+
+def nodes_of(instants: Array) -> tuple[Array, npt.NDArray[np.int64]]:
+    """Instants of all nodes, and which of them are those of the samples."""
+    nodes, places = [float(instants[0])], [0]
+    for before, after in zip(instants[:-1].tolist(), instants[1:].tolist(), strict=True):
+        parts = max(1, round(after - before)) if after - before > HOLE else 1
+        nodes += [before + (after - before) * n / parts for n in range(1, parts + 1)]
+        places.append(len(nodes) - 1)
+    return np.array(nodes), np.array(places)
+
+
+def difference_rows(nodes: Array) -> Array:
+    """Matrix that takes positions at the nodes to 2 times their second divided differences."""
+    count = len(nodes) - 2
+    rows = np.zeros((max(0, count), len(nodes)))
+    for n in range(count):
+        at = nodes[n : n + 3]
+        for k, one in enumerate(at):
+            rows[n, n + k] = 2.0 / float(np.prod(one - np.delete(at, k)))
+    return rows
+
+
+def least_bound(instants: Array, samples: Array, phase_error: float | Array) -> float:
+    """The least bound B of a motion within ``phase_error`` of these positions, cycles per interval^2.
+
+    ``instants``, intervals, increase; shapes (n,), of ``phase_error`` too if samples
+    differ in it. 0.0 for two samples or fewer.
+    """
+    nodes, places = nodes_of(instants)
+    rows = difference_rows(nodes)
+    if not len(rows):
+        return 0.0
+    reference = np.polynomial.Polynomial.fit(instants, samples, min(1, len(samples) - 1))
+    rest = samples - reference(instants)
+    column = -np.ones((len(rows), 1))
+    constraints = np.vstack((np.hstack((rows, column)), np.hstack((-rows, column))))
+    low, high = np.full(len(nodes) + 1, -np.inf), np.full(len(nodes) + 1, np.inf)
+    low[places], high[places], low[-1] = rest - phase_error, rest + phase_error, 0.0
+    cost = np.zeros(len(nodes) + 1)
+    cost[-1] = 1.0
+    result = linprog(
+        cost,
+        A_ub=constraints,
+        b_ub=np.zeros(len(constraints)),
+        bounds=np.column_stack((low, high)),
+        method="highs",
+    )
+    if not result.success:
+        raise RuntimeError(f"the solver found nothing: {result.message}")
+    return float(result.fun)
+
+
+def is_legal(instants: Array, samples: Array, phase_error: float, bound: float) -> bool:
+    return least_bound(instants, samples, phase_error) <= bound + SLACK
+
+
+def window(instants: Sequence[float], to: float, phase_error: float, bound: float) -> tuple[Array, float]:
+    """Weights of the last samples for the position at ``to``, and how far from it a sample can be.
+
+    ``instants`` are those of the last two samples, increasing.
+    """
+    at = np.asarray(instants)
+    weights = np.array(
+        [np.prod((to - np.delete(at, k)) / (one - np.delete(at, k))) for k, one in enumerate(at)]
+    )
+    reach = bound * float(np.prod(to - at)) / 2.0
+    return weights, reach + phase_error * (1.0 + float(np.abs(weights).sum()))
+
+
+class LegalMotions:
+    """Every legal motion through all samples that nothing flagged, from one that is known to be right.
+
+    A residual is held against its window, as eq. 12 does; what stands around a hole against the linear
+    program, so that an estimator that keeps the windows of all samples publishes no other motion.
+    """
+
+    def __init__(self, phase_error: float, bound: float) -> None:
+        self._phase_error, self._bound = phase_error, bound
+        self.instants: list[float] = []
+        self.paths: list[tuple[float, ...]] = []
+        self.overflow = False
+        self._run = 0  # samples since the last hole
+        self._checked_from = 0  # the samples that the program has to see while the run is short
+
+    def begin(self, instants: Sequence[float], positions: Sequence[float]) -> None:
+        self.instants, self.paths = list(instants), [tuple(positions)]
+        self._run, self._checked_from = len(instants), 0
+
+    def add(self, instant: float, phase: float) -> None:
+        weights, radius = window(self.instants[-2:], instant, self._phase_error, self._bound)
+        if instant - self.instants[-1] > HOLE:
+            if self._run >= 2:
+                self._checked_from = len(self.instants) - 2
+            self._run = 0
+        self._run += 1
+        self.instants.append(instant)
+        near_hole = self._run <= 2 and len(self.instants) > self._run
+        paths = []
+        for path in self.paths:
+            centre = float(np.dot(weights, path[-2:]))
+            first = math.ceil(centre - radius - SLACK - phase)
+            for count in range(first, math.floor(centre + radius + SLACK - phase) + 1):
+                one = (*path, count + phase)
+                if not near_hole or self._fits(one):
+                    paths.append(one)
+            if len(paths) > MOST_PATHS:
+                self.overflow = True
+                paths = paths[:MOST_PATHS]
+        if self._run > 2:  # what is equal in its last samples has the same future
+            paths = list({one[-2:]: one for one in reversed(paths)}.values())
+        self.paths = paths
+
+    def _fits(self, path: tuple[float, ...]) -> bool:
+        at = slice(self._checked_from, None)
+        instants, samples = np.array(self.instants[at]), np.array(path[at])
+        return is_legal(instants, samples, self._phase_error, self._bound)
 
 
 class Cause(Enum):

@@ -24,9 +24,8 @@ from canfb.simulation import faults
 from canfb.simulation.encoder import Encoder, demo_encoder
 from canfb.simulation.faults import Fault, Samples, Signal
 from tools.faults.machine import Array, Counts, Rng, accelerations, exact_table, positions, start_speeds
-from tools.faults.samples.episodes import VALID, Episode, Published
+from tools.faults.samples.episodes import VALID, Declared, Episode, Published, State
 from tools.faults.samples.judge import Verdict, judge
-from tools.faults.samples.kinds import Declared, State
 
 ENCODER: Encoder = demo_encoder()
 A = ENCODER.amplitude_counts
