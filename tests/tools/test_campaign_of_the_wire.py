@@ -14,9 +14,8 @@ from tools.faults.machine import Motion
 from tools.faults.wire import campaign
 from tools.faults.wire.classes import CLASSES
 from tools.faults.wire.clocks import RATES_HZ, WHO
-from tools.faults.wire.host import Sent
 from tools.faults.wire.judge import VALID, Judge, Verdict
-from tools.faults.wire.line import TICK_S, Line, Plan, Slot, lay
+from tools.faults.wire.line import TICK_S, Line, Plan, Sent, Slot, lay
 from tools.faults.wire.physics import stamp_tolerance, unseen
 from tools.faults.wire.play import Episode, plan_of, play
 from tools.faults.wire.setups import RANGE_CYCLES, SDO_TX, SETUPS, TPDO1_ID, UNITS_PER_CYCLE, Options

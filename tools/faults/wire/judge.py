@@ -22,8 +22,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
-from tools.faults.wire.host import Sent
-from tools.faults.wire.line import Line, Plan
+from tools.faults.wire.line import Event, Line, Plan, Sent
 from tools.faults.wire.physics import (
     STEP_SYNCS,
     answers_another,
@@ -65,9 +64,7 @@ class Shown:
     status: int
     residual: float
     error: float
-    truth: float
-    cause_time: float = -1.0  # when the ADC PDO was received that made the module send it
-    sample: int = -1  # in that PDO
+    pdo: Event | None  # the ADC PDO that made the module send it
 
     @property
     def valid(self) -> bool:
@@ -82,7 +79,6 @@ class Verdict:
     early: int = 0  # not valid before the fault
     not_valid: int = 0
     after_start: int = 0  # of them later than a start may take
-    shown: int = 0
     acceleration_wrong: int = 0
     emergencies: int = 0  # most within EMCY_WINDOW_S
     right_at_end: bool = False
@@ -162,8 +158,8 @@ class Judge:
         """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown until then."""
         if self._plan.setup.times or not answers_another(self._line):
             return False
-        known = [one for one in self._answers() if one.now <= self._last_wrong]
-        return self._is_legal([(self._last_sync(one.cause_time), one.position) for one in known])
+        answers = ((pdo, one) for pdo, one in self._answers() if one.now <= self._last_wrong)
+        return self._is_legal([(self._last_sync(pdo.time), one.position) for pdo, one in answers])
 
     def _is_p9(self) -> bool:
         """Sample times are off by no more than the wire can be, and a machine moves as was shown at them."""
@@ -171,7 +167,7 @@ class Judge:
         off = [abs(named - time) for named, time in zip(line.named, line.sample_times, strict=True)]
         if not (self._plan.setup.times and 0.0 < max(off, default=0.0) <= self._tolerance):
             return False
-        shown = [(line.named[one.sample], one.position) for one in self._answers()]
+        shown = [(line.named[pdo.number], one.position) for pdo, one in self._answers()]
         if self._plan.setup.servo:
             return self._is_legal(self._with_earlier(shown), 4.0 * LIMIT_MARGIN)  # noise / step^2, at T/2
         return self._is_legal(shown)
@@ -179,14 +175,15 @@ class Judge:
     def _with_earlier(self, shown: list[tuple[float, float]]) -> list[tuple[float, float]]:
         """With the earlier pair of each PDO, half a period before, in the cycle that its speed gives."""
         pairs = []
-        for ((before, x), (named, y)), one in zip(pairwise(shown), self._answers()[1:], strict=True):
-            true = self._plan.motion.at([self._line.sample_times[one.sample] - 0.5])[0] - self._base
+        for ((before, x), (named, y)), (pdo, _) in zip(pairwise(shown), self._answers()[1:], strict=True):
+            true = self._plan.motion.at([self._line.sample_times[pdo.number] - 0.5])[0] - self._base
             expected = y - 0.5 * within_half(y - x, RANGE_CYCLES) / (named - before)
             pairs += [(named - 0.5, expected + within_half(true - expected, 1.0)), (named, y)]
         return pairs
 
-    def _answers(self) -> list[Shown]:
-        return [one for one in self.shown if one.what == "TPDO" and one.valid and one.sample >= 0]
+    def _answers(self) -> list[tuple[Event, Shown]]:
+        valid = (one for one in self.shown if one.what == "TPDO" and one.valid)
+        return [(one.pdo, one) for one in valid if one.pdo is not None]
 
     def _is_legal(self, shown: list[tuple[float, float]], margin: float = LIMIT_MARGIN) -> bool:
         return is_smooth(shown, (self._plan.options.limit or RESIDUAL_LIMIT) + margin, RANGE_CYCLES)
@@ -206,21 +203,19 @@ class Judge:
             self._lost = True  # the count begins with the first valid position
             self._resets[:0] = [one.now] * (not any(shown.valid for shown in self.shown))
         position = units / UNITS_PER_CYCLE
-        truth, error = self._nearest(one, position)
+        error = self._error(one, position)
         valid = bool(status & VALID)
         if valid and self._resets and one.now >= self._resets[0]:
             del self._resets[0]
             self._base -= round(error)
-            truth, error = self._nearest(one, position)
+            error = self._error(one, position)
         referenced = self._plan.options.extra or self._plan.options.coarse
         if valid and referenced and self._lost and abs(error) > self._plan.tolerance:
             # A zero pulse ends a loss within the revolution.
             error = within_half(error, CYCLES_PER_REVOLUTION)
-        cause = one.cause
-        upon, sample = (cause.time, cause.number) if cause is not None and cause.what == "pdo" else (-1.0, -1)
-        shown = Shown(one.now, what, position, status, residual, error, truth, upon, sample)
+        pdo = one.cause if one.cause is not None and one.cause.what == "pdo" else None
+        shown = Shown(one.now, what, position, status, residual, error, pdo)
         self.shown.append(shown)
-        verdict.shown += 1
         if not valid:
             if one.newest < 0 or one.now < START:
                 return
@@ -233,10 +228,11 @@ class Judge:
             self._last_wrong = one.now
             verdict.first_wrong = verdict.first_wrong or shown
 
-    def _nearest(self, one: Sent, position: float) -> tuple[float, float]:
-        truths = [truth - self._base for truth in self._admissible(one)]
-        errors = ((truth, within_half(position - truth, RANGE_CYCLES)) for truth in truths)
-        return min(errors, key=lambda one: abs(one[1]), default=(0.0, RANGE_CYCLES))
+    def _error(self, one: Sent, position: float) -> float:
+        """Of a position against the nearest truth."""
+        truths = self._admissible(one)
+        errors = (within_half(position + self._base - truth, RANGE_CYCLES) for truth in truths)
+        return min(errors, key=abs, default=RANGE_CYCLES)
 
     def _admissible(self, one: Sent) -> list[float]:
         """True positions at the instants of rules J1 to J4."""

@@ -73,6 +73,13 @@ class Event(NamedTuple):
     number: int  # of the slot for sync and foreign, of the sample for pdo and extra
 
 
+class Sent(NamedTuple):
+    now: float  # T
+    cause: Event | None  # None: a timer
+    frame: Frame
+    newest: int  # number of the newest sample that the module has heard; -1: none
+
+
 @dataclass
 class Plan:
     setup: Setup
