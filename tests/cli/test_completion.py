@@ -16,7 +16,7 @@ from canfb.cli.commands import COMMANDS
 from canfb.cli.completion import asked_words, can_interfaces
 from canfb.cli.main import main
 from processes import python
-from tools.site.commands_page import INTRODUCTION
+from tools.site.reference import COMMANDS_TEXT
 
 CONFIG = "bus: {interface: virtual, channel: x}\nmodules: [{node_id: 33, encoder_interface: 17}]\n"
 BASH = shutil.which("bash")
@@ -121,7 +121,7 @@ def test_without_argcomplete_nothing_is_said(
 @pytest.mark.skipif(BASH is None, reason="no bash")
 def test_bash_completes_as_the_page_says(folder: Path) -> None:
     activation = 'eval "$(register-python-argcomplete canfb)"'
-    assert activation in INTRODUCTION
+    assert activation in COMMANDS_TEXT
     script = f"""
         {activation}
         COMP_LINE='canfb config ch' COMP_POINT=15 COMP_TYPE=9 COMP_WORDS=(canfb config ch) COMP_CWORD=2

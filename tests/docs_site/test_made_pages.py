@@ -16,10 +16,8 @@ import canfb
 from canfb.cli.commands import build_parser
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import source_kinds
-from tools.site.commands_page import commands_of, commands_page
-from tools.site.docstrings import as_rst
-from tools.site.keys_page import SECTIONS, keys_of, keys_page
-from tools.site.objects_page import objects_page
+from tools.site.reference import SECTIONS, commands_of, commands_page, keys_of, keys_page, objects_page
+from tools.site.text import as_rst
 
 EDS = Path(__file__).parents[2] / "eds"
 DIMENSIONLESS = {

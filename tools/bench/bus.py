@@ -41,7 +41,7 @@ from canfb.hosting.realtime import apply_realtime
 from tools.bench.bus_load import LOADS
 from tools.bench.bus_node import READY, REALTIME
 from tools.bench.bus_others import Others
-from tools.site.markdown import table
+from tools.site.text import table
 
 Combination = tuple[str, str, str]
 NODES = ("stock", "canfb", "floor")

@@ -26,7 +26,7 @@ import pyperf
 import canfb
 from canfb.eds_files import eds_path
 from tools.faults.machine import exact_table
-from tools.site.markdown import table
+from tools.site.text import table
 
 NODE_ID, ENCODER_INTERFACE = 32, 16
 SYNC, ADC_PDO, POSITION_PDO = 0x080, 0x180 + ENCODER_INTERFACE, 0x180 + NODE_ID

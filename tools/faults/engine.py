@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from typing import NamedTuple
 
-from tools.site import markdown
+from tools.site.text import table as markdown_table
 
 EXAMPLES = 5
 
@@ -190,7 +190,7 @@ def run(campaign: Campaign, said: argparse.Namespace, table: Callable[[Results],
         print(json.dumps(cells, indent=1))
     else:
         head, *body = table(results)
-        print(*markdown.table(head, body), sep="\n")
+        print(*markdown_table(head, body), sep="\n")
         print(f"goals missed: {sum(not line.startswith(' ') for line in missed)}")
     for line in missed:
         print(line, file=sys.stderr)

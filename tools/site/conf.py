@@ -10,10 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 import canfb
-from tools.site.commands_page import commands_page
-from tools.site.docstrings import as_rst
-from tools.site.keys_page import keys_page
-from tools.site.objects_page import objects_page
+from tools.site.reference import commands_page, keys_page, objects_page
+from tools.site.text import as_rst
 
 MADE = {
     "docs/reference/objects": objects_page,
