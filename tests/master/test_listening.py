@@ -287,10 +287,9 @@ def test_it_is_heard_with_its_sample(same_pdo: bool) -> None:
         if same_pdo:
             data = tracks + struct.pack("<hh", k, -k)
             recorder.on_pdo(0x190, data, 0.0)
-            recorder.on_coarse(0x190, data, 0.0)
         else:
             recorder.on_pdo(0x190, tracks, 0.0)
-            recorder.on_coarse(0x290, struct.pack("<hh", k, -k), 0.0)
+            recorder.on_pdo(0x290, struct.pack("<hh", k, -k), 0.0)
     samples = recorder.result("a test")
     assert samples.coarse is not None
     assert np.array_equal(samples.coarse[0], [0.0, 1.0, np.nan, 3.0], equal_nan=True)

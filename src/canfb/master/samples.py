@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -184,93 +185,72 @@ PATIENCE_S = 2.0  # for the first SYNC, the first sample, and for either to go o
 LOOK_S = 0.1
 LONGEST = 6.0  # times the duration that was asked for, where SYNCs are rare
 PART_MISSED = 0.5
-Pair = tuple[int, int]
-MISSED: Pair = (od.MISSED_COUNTS, od.MISSED_COUNTS)
+MISSED = (od.MISSED_COUNTS, od.MISSED_COUNTS)
 
 
-@dataclass(slots=True)
-class _Interval:
-    """From one SYNC to the next; ``stamp``: 100 ns."""
-
-    at_s: float
-    earlier: list[Pair]
-    pair: Pair = MISSED
-    stamp: int | None = None
-    coarse: Pair | None = None
+NEWEST, COARSE, TIME = 0, -1, -2  # parts of a sample; 1, 2, .. are the earlier pairs
 
 
 class PdoRecorder:
-    """Gives each SYNC the first sample that comes before the next one.
+    """Gives each SYNC the first of each part of a sample that comes before the next one.
 
     Called from the receiving thread; read when that has ended.
     """
 
     def __init__(self, layout: PdoLayout) -> None:
-        self._layout = layout
-        self._intervals: list[_Interval] = []
+        self._per_sync, self._has_coarse = 1 + len(layout.earlier), layout.coarse is not None
+        self._sync_id = layout.sync_id
+        self._times_s: list[float] = []  # of the SYNCs
+        self._intervals: list[dict[int, Any]] = []  # the parts that came, from one SYNC to the next
+        self._parts: defaultdict[int, list[tuple[int, Callable[[bytes], Any]]]] = defaultdict(list)
+        for part, place in [*enumerate((layout, *layout.earlier)), (COARSE, layout.coarse)]:
+            if place is not None:
+                self._parts[place.can_id].append((part, place.unpack))
+        timed = layout.timed_by or layout
+        self._parts[timed.can_id].append((TIME, timed.sample_time))
         self.samples = 0
 
     @property
     def syncs(self) -> int:
-        return len(self._intervals)
+        return len(self._times_s)
 
     def callbacks(self) -> list[tuple[int, OnFrame]]:
         """For each CAN-ID; the SYNC is the last."""
-        layout = self._layout
-        found: list[tuple[int, OnFrame]] = [(layout.can_id, self.on_pdo)]
-        if layout.coarse is not None:
-            found.append((layout.coarse.can_id, self.on_coarse))
-        return [*found, *((can_id, self.on_part) for can_id in layout.others), (layout.sync_id, self.on_sync)]
+        return [*((can_id, self.on_pdo) for can_id in self._parts), (self._sync_id, self.on_sync)]
 
     def on_sync(self, can_id: int, data: bytes, time_s: float) -> None:
-        self._intervals.append(_Interval(time_s, [MISSED] * len(self._layout.earlier)))
+        self._times_s.append(time_s)
+        self._intervals.append({})
 
     def on_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
-        counts = self._layout.unpack(data)
-        if counts is None or not self._intervals or self._intervals[-1].pair != MISSED:
-            return
-        self._intervals[-1].pair = counts
-        if self._layout.time_byte is not None:
-            self._intervals[-1].stamp = self._layout.sample_time(data)
-        self.samples += 1
-        self.on_part(can_id, data, time_s)
-
-    def on_part(self, can_id: int, data: bytes, time_s: float) -> None:
         if not self._intervals:
             return
-        layout, now = self._layout, self._intervals[-1]
-        for place, part in enumerate(layout.earlier):
-            if part.can_id == can_id and now.earlier[place] == MISSED:
-                now.earlier[place] = part.unpack(data) or MISSED
-        if layout.timed_by is not None and layout.timed_by.can_id == can_id and now.stamp is None:
-            now.stamp = layout.timed_by.sample_time(data)
-
-    def on_coarse(self, can_id: int, data: bytes, time_s: float) -> None:
-        layout = self._layout.coarse
-        if self._intervals and layout is not None and self._intervals[-1].coarse is None:
-            self._intervals[-1].coarse = layout.unpack(data)
+        now = self._intervals[-1]
+        came = {part: read(data) for part, read in self._parts[can_id] if now.get(part) is None}
+        self.samples += came.get(NEWEST) is not None
+        now |= came
 
     def result(self, origin: str) -> TrackSamples:
         """What came, in order, without the open interval."""
-        intervals, per_sync = self._intervals[:-1], 1 + len(self._layout.earlier)
+        intervals, per_sync = self._intervals[:-1], self._per_sync
         rate_hz = self._rate_hz()
-        in_order = [pair for one in intervals for pair in (*one.earlier[::-1], one.pair)]
+        in_order = [one.get(part) or MISSED for one in intervals for part in reversed(range(per_sync))]
         pairs = np.array(in_order, np.float64).reshape(-1, 2)
         samples = TrackSamples.of(pairs[:, 0], pairs[:, 1], rate_hz and rate_hz * per_sync, origin)
         if rate_hz or per_sync == 1:
             before_s = np.arange(per_sync - 1, -1, -1) / per_sync / (rate_hz or 1.0)
-            at_s = np.array([one.at_s for one in intervals])
+            at_s = np.array(self._times_s[:-1])
             samples = replace(samples, received_s=(at_s[:, None] - before_s).reshape(-1))
-        if self._layout.coarse is not None:
+        if self._has_coarse:
             tracks = np.full((len(pairs), 2), np.nan)
-            tracks[per_sync - 1 :: per_sync] = [one.coarse or (np.nan, np.nan) for one in intervals]
+            tracks[per_sync - 1 :: per_sync] = [one.get(COARSE) or (np.nan, np.nan) for one in intervals]
             samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
         stamps: list[int | None] = [None] * len(pairs)
-        stamps[per_sync - 1 :: per_sync] = [one.stamp for one in intervals]
+        stamps[per_sync - 1 :: per_sync] = [one.get(TIME) for one in intervals]
         return samples.timed(stamps)
 
     def _rate_hz(self) -> float | None:
-        steps = np.diff([one.at_s for one in self._intervals])
+        steps = np.diff(self._times_s)
         # The median does not mind a pause; the mean of what is near it does not mind late time stamps.
         if not len(steps) or (middle := float(np.median(steps))) <= 0.0:
             return None

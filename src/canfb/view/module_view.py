@@ -115,12 +115,6 @@ class PdoLayout:
     timed_by: PdoLayout | None = None
 
     @property
-    def others(self) -> list[int]:
-        """Other COB-IDs that bring a part of the sample."""
-        parts = (*self.earlier, *(() if self.timed_by is None else (self.timed_by,)))
-        return sorted({part.can_id for part in parts} - {self.can_id})
-
-    @property
     def sender(self) -> int | None:
         """By the predefined connection set, or None."""
         return (self.can_id & 0x7F or None) if self.can_id & 0x780 in cob.TPDOS else None
