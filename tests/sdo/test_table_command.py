@@ -162,7 +162,7 @@ def test_nothing_staged(canfb: Commands) -> None:
 
 
 BAD = {
-    "a key": ("sine_gain:", "sine_gian:", "line {line}: unknown key 'sine_gian' in conditioning"),
+    "a key": ("sine_gain:", "sine_gian:", "line {line}: conditioning.sine_gian: unknown key; known"),
     "a type": (
         "sine_gain: 1.0",
         "sine_gain: one",
@@ -174,7 +174,7 @@ BAD = {
         "line {next}: key 'sine_gain' is there",
     ),
     "a number": ("crc32: ", "crc32: 1", "an entry was changed"),
-    "entries": ("entries:", "entries: [one]\nothers:", "line {line}: a correction table is a sequence of"),
+    "entries": ("entries:", "entries: [one]\nothers:", "line {line}: entries: a correction table is a"),
     "no YAML": ("conditioning:", "conditioning: [", "line "),
 }
 

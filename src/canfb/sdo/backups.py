@@ -15,6 +15,7 @@ import yaml
 from canfb import objects as od
 from canfb.cia301 import cob, datatypes
 from canfb.cia301.codes import NmtCommand, NmtState
+from canfb.cia301.datatypes import DataType
 from canfb.device.od.dcf import Write
 from canfb.files import read_bytes
 from canfb.marked_yaml import MarkedYaml
@@ -23,6 +24,7 @@ from canfb.master.all_or_nothing import Guard, change, check_can_save
 from canfb.rows import Result, those
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, listed, numbered
 from canfb.sdo.sdo_tasks import check_value, short_real
+from canfb.sdo.tables import check_keys, table_in, wrong
 from canfb.signal.correction import CorrectionTable
 
 FORMAT = 1
@@ -105,17 +107,21 @@ class _BackupReader:
         if not isinstance(content, dict) or "canfb_backup" not in content:
             raise ValueError("this is not a backup of canfb: 'canfb_backup' is missing")
         if content["canfb_backup"] != FORMAT:
-            raise self._wrong(
+            raise wrong(
+                self._marked,
                 f"this version reads backups of the format {FORMAT}, not {content['canfb_backup']!r}",
                 "canfb_backup",
             )
         known = ("canfb_backup", "date", "canfb", "device_name", "node_id", "identity", "parameters")
-        self._check_keys(content, (*known, "not_restored", "table"), known)
+        check_keys(self._marked, content, (*known, "not_restored", "table"), known)
         identity, fields = content["identity"], NodeIdentity._fields
-        self._check_keys(identity, fields, fields, "identity")
+        check_keys(self._marked, identity, fields, fields, "identity")
+        numbers = (
+            self._value(identity[key], DataType.UNSIGNED32, None, None, "", "identity", key) for key in fields
+        )
         return Backup(
-            self._integer(content["node_id"], 127, "node_id", low=1),
-            NodeIdentity(*(self._integer(identity[key], 0xFFFFFFFF, "identity", key) for key in fields)),
+            self._value(content["node_id"], DataType.UNSIGNED8, 1, 127, "", "node_id"),
+            NodeIdentity(*numbers),
             str(content["date"]),
             str(content["canfb"]),
             str(content["device_name"]),
@@ -127,7 +133,9 @@ class _BackupReader:
 
     def _values(self, content: Any, section: str) -> dict[Place, Any]:
         if not isinstance(content, dict):
-            raise self._wrong(f'must be a mapping of objects such as "2010:01", not {content!r}', section)
+            raise wrong(
+                self._marked, f'must be a mapping of objects such as "2010:01", not {content!r}', section
+            )
         values: dict[Place, Any] = {}
         for key, value in content.items():
             place = self._place(key, section)
@@ -136,56 +144,34 @@ class _BackupReader:
                 self._unknown.append(str(key))
                 continue
             if entry is None:
-                raise self._wrong("this version has no such parameter; --force leaves it out", section, key)
-            try:
-                values[place] = check_value(entry.data_type, value, entry.least, entry.most)
-            except ValueError as error:
-                raise self._wrong(f"{entry.title} {error}", section, key) from None
+                raise wrong(
+                    self._marked, "this version has no such parameter; --force leaves it out", section, key
+                )
+            limits = entry.least, entry.most
+            values[place] = self._value(value, entry.data_type, *limits, f"{entry.title} ", section, key)
         return values
 
     def _place(self, key: Any, section: str) -> Place:
         found = numbered(key) if isinstance(key, str) else None
         if found is None or found[1] is None:
-            raise self._wrong(
-                'unknown key: an object such as "2010:01", in quotes, is required', section, key
+            raise wrong(
+                self._marked, 'unknown key: an object such as "2010:01", in quotes, is required', section, key
             )
         return found[0], found[1]
 
     def _table(self, content: Any) -> bytes:
         if content is None:
             return b""
-        self._check_keys(content, ("crc32", "entries"), ("entries",), "table")
+        check_keys(self._marked, content, ("crc32", "entries"), ("entries",), "table")
+        return table_in(self._marked, content, "table").to_bytes()
+
+    def _value(
+        self, value: Any, data_type: int, low: float | None, high: float | None, said: str, *keys: Any
+    ) -> Any:
         try:
-            table = CorrectionTable(content["entries"])
-        except (ValueError, TypeError) as error:
-            raise self._wrong(str(error), "table", "entries") from None
-        noted = content.get("crc32")
-        if noted is not None and str(noted).upper() != f"{table.crc32:08X}":
-            raise self._wrong(
-                f"{noted} is noted, and the CRC of the entries is {table.crc32:08X}: an entry was changed",
-                "table",
-                "crc32",
-            )
-        return table.to_bytes()
-
-    def _check_keys(self, content: Any, known: tuple[str, ...], needed: tuple[str, ...], *above: str) -> None:
-        if not isinstance(content, dict):
-            raise self._wrong(f"must be a mapping with {', '.join(known)}, not {content!r}", *above)
-        for key in content:
-            if key not in known:
-                raise self._wrong(f"unknown key; known are {', '.join(known)}", *above, key)
-        for key in needed:
-            if key not in content:
-                raise self._wrong(f"{key!r} is missing", *above)
-
-    def _integer(self, value: Any, high: int, *keys: str, low: int = 0) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise self._wrong(f"must be a whole number {low}..{high}, not {value!r}", *keys)
-        return value
-
-    def _wrong(self, text: str, *keys: Any) -> ValueError:
-        names = [str(key) for key in keys]
-        return ValueError(f"line {self._marked.line(*names)}: {'.'.join(names)}{': ' * bool(names)}{text}")
+            return check_value(data_type, value, low, high)
+        except ValueError as error:
+            raise wrong(self._marked, f"{said}{error}", *keys) from None
 
 
 def _block(values: Mapping[Place, Any], described: ObjectDescriptions) -> list[str]:

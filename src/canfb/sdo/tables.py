@@ -4,7 +4,7 @@ whole or not at all."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -38,7 +38,6 @@ from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
 DELAYS = frozenset({"cosine_delay_s", "delay_s"})
-_KNOWN = ", ".join(IDENTITY.words)
 # Keys of a table file that say with which encoder and analog path the table was measured.
 NOTED = {
     "cycles_per_revolution": od.ENCODER_CYCLES_PER_REVOLUTION,
@@ -144,23 +143,8 @@ def _from_yaml(path: Path, data: bytes) -> TableFile:
     content = marked.content
     if not isinstance(content, dict) or "entries" not in content:
         raise ValueError("a mapping with 'entries' is required")
-    try:
-        table = CorrectionTable(content["entries"])
-    except ValueError as error:
-        raise ValueError(f"line {marked.line('entries')}: {error}") from None
-    noted = content.get("crc32")
-    if noted is not None and str(noted).upper() != f"{table.crc32:08X}":
-        raise ValueError(
-            f"line {marked.line('crc32')}: its CRC is {table.crc32:08X}, but the file states {noted}: "
-            "an entry was changed"
-        )
-    words = content.get("conditioning") or {}
-    if not isinstance(words, dict):
-        raise ValueError(f"line {marked.line('conditioning')}: conditioning must be a mapping, not {words!r}")
-    for key in words:
-        if key not in IDENTITY.words:
-            line = marked.line("conditioning", str(key))
-            raise ValueError(f"line {line}: unknown key {key!r} in conditioning; known are {_KNOWN}")
+    table, words = table_in(marked, content), content.get("conditioning") or {}
+    check_keys(marked, words, IDENTITY.words, (), "conditioning")
     noted = {place: content.get(key) for key, place in NOTED.items()}
     return TableFile(
         path,
@@ -169,6 +153,39 @@ def _from_yaml(path: Path, data: bytes) -> TableFile:
         {place: value for place, value in noted.items() if isinstance(value, (int, float)) and value > 0},
         not DELAYS.isdisjoint(words),
     )
+
+
+def table_in(marked: MarkedYaml, content: Any, *above: str) -> CorrectionTable:
+    """Of entries, and their crc32 if noted. ValueError with the line."""
+    try:
+        table = CorrectionTable(content["entries"])
+    except (ValueError, TypeError) as error:
+        raise wrong(marked, str(error), *above, "entries") from None
+    noted = content.get("crc32")
+    if noted is not None and str(noted).upper() != f"{table.crc32:08X}":
+        said = f"the CRC of the entries is {table.crc32:08X}, the file states {noted}: an entry was changed"
+        raise wrong(marked, said, *above, "crc32")
+    return table
+
+
+def check_keys(
+    marked: MarkedYaml, content: Any, known: Collection[str], needed: Collection[str], *above: str
+) -> None:
+    """A mapping with these keys, or ValueError."""
+    if not isinstance(content, dict):
+        raise wrong(marked, f"must be a mapping with {', '.join(known)}, not {content!r}", *above)
+    for key in content:
+        if key not in known:
+            raise wrong(marked, f"unknown key; known are {', '.join(known)}", *above, key)
+    for key in needed:
+        if key not in content:
+            raise wrong(marked, f"{key!r} is missing", *above)
+
+
+def wrong(marked: MarkedYaml, text: str, *keys: Any) -> ValueError:
+    """With line and key."""
+    names = [str(key) for key in keys]
+    return ValueError(f"line {marked.line(*names)}: {'.'.join(names)}{': ' * bool(names)}{text}")
 
 
 def _conditioning(marked: MarkedYaml, words: dict[str, float]) -> Conditioning:
