@@ -4,7 +4,7 @@ object 2050h, both tracks faster than SYNC; when it samples; its parameters."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -16,6 +16,7 @@ from canfb.checks import flag, integer_in, number_in, text, within
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame, mapping_values
+from canfb.device.core import FOLLOWED, IGNORED, HeldRpdo
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.node import NodeDevice
 from canfb.device.od.dictionary import Dictionary, refuse_if
@@ -312,45 +313,32 @@ class EncoderInterface(MachineNode):
         several = samples_per_sync > 1 and not grouped
         self._several = SeveralSamples(source, samples_per_sync) if several else None
         self._watch = SourceWatch(self._ask, lambda text: self.on_source(text))
-        self._reported = False  # EMCY of the source is active
         self.samples = 0  # Samples sent.
         self.missed = 0  # SYNCs in OPERATIONAL for which the source had none, before its end.
-        self._silent = False
         tpdos = numbers(self.dictionary, Direction.TRANSMIT)
         entry, parameters = self.dictionary.entry, COMMUNICATION[Direction.TRANSMIT] - 1
         self._entries = {place: entry(*place) for place in SAMPLE_OBJECTS}
-        self._cob_ids = [entry(parameters + number, 1) for number in tpdos]
         self._types = {number: entry(parameters + number, 2) for number in tpdos}
 
     @property
     def ended(self) -> bool:
         return self._watch.ended
 
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        self._silent = False
-        return self._audible(super().receive(frame, now))
-
-    def tick(self, now: float) -> list[Frame]:
-        self._silent = False
-        return self._audible(super().tick(now))
-
-    def sync_received(self, counter: int | None, now: float) -> None:
+    def synchronise(self, counter: int | None, now: float, waiting: Sequence[HeldRpdo]) -> int:
         sample = self._watch.sample(now)
-        if self._watch.failing is not self._reported:
-            self._reported = self._watch.failing
-            if self._reported:
-                self.emergency(EmergencyCode.HARDWARE, ErrorRegister.GENERIC, b"", now)
-            else:
-                self.clear_emergency(EmergencyCode.HARDWARE, now)
+        if self._watch.failing:
+            self.emergency(EmergencyCode.HARDWARE, ErrorRegister.GENERIC, b"", now)
+        else:
+            self.clear_emergency(EmergencyCode.HARDWARE, now)
         if sample is None:
-            self._silent = True
             self.missed += not self.ended
-            return
+            return IGNORED
         self.samples += 1
         self._keep(sample)
         for number, kind in self._types.items():
             if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
                 self.trigger_tpdo(number, now)
+        return FOLLOWED
 
     def _ask(self) -> Sample | None:
         if self._several is not None:
@@ -358,7 +346,6 @@ class EncoderInterface(MachineNode):
         return self.source.next() if self._machine is None else self._machine.sample_at(self.received_s)
 
     def _keep(self, sample: Sample) -> None:
-        """An object keeps the value of before where the sample has none for it."""
         sine, cosine, _, invalid, coarse_sine, coarse_cosine, pulse, time_100ns, pairs = sample
         taken_s = self.received_s if self._several is None else self._several.newest_s
         has_pulse = od.SampleFlag.ZERO_PULSE if pulse is not None else 0
@@ -374,19 +361,12 @@ class EncoderInterface(MachineNode):
         for places, pair in zip(od.INTERFACE_EARLIER, pairs, strict=False):
             values |= zip(places, pair, strict=True)
         for place, value in values.items():
-            if value is not None:
+            if value is not None:  # else that of before stays
                 self._entries[place].value = value
 
     def reset_done(self, communication_only: bool, now: float) -> None:
-        self._reported = False
         if not communication_only:
             self.recorder.reset()
-
-    def _audible(self, frames: list[Frame]) -> list[Frame]:
-        if not self._silent:
-            return frames
-        samples = {cob_id.value & cob.CAN_ID for cob_id in self._cob_ids}
-        return [frame for frame in frames if frame.can_id not in samples]
 
 
 def _adc_pdos(node_id: int, times: bool, samples_per_sync: int) -> dict[tuple[int, int], int]:
@@ -394,11 +374,9 @@ def _adc_pdos(node_id: int, times: bool, samples_per_sync: int) -> dict[tuple[in
     objects = [one.mapped(16) for pair in pairs for one in pair]
     if times:
         objects.append(od.INTERFACE_SAMPLE_TIME.mapped(32))
-    values = mapping_values(od.TPDO_MAPPING, objects)
-    for index in {index for index, _ in values} - {od.TPDO_MAPPING}:
-        number = index - od.TPDO_MAPPING
-        values[od.TPDO + number, 1] = cob.TPDOS[number] + node_id
-    return values
+    mapping = mapping_values(od.TPDO_MAPPING, objects)
+    further = {index - od.TPDO_MAPPING for index, _ in mapping} - {0}  # that of TPDO1 is in the EDS
+    return mapping | {(od.TPDO + one, 1): cob.TPDOS[one] + node_id for one in further}
 
 
 @dataclass(frozen=True, kw_only=True)

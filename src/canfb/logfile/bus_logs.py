@@ -374,27 +374,19 @@ class BusLog:
         except (NotImplementedError, ImportError) as error:
             raise CanfbError(f"{self.path}: {NEEDS_PACKAGE}") from error
         except (OSError, ValueError) as error:
-            raise CanfbError(f"{self.path}: cannot be written: {reason(error)}") from error
+            raise self._failed(error) from error
         return self
 
-    def __exit__(self, *raised: object) -> None:
-        with self._writing(suppress=raised[0] is not None):
-            writer, self._writer = self._writer, None
-            if writer is not None:
-                writer.stop()
-
-    @contextlib.contextmanager
-    def _writing(self, *, suppress: bool = False) -> Iterator[None]:
+    def __exit__(self, kind: object, *raised: object) -> None:
+        assert self._writer is not None
         try:
-            yield
+            self._writer.stop()
         except OSError as error:
-            # What is in its buffer cannot be written either.
-            writer, self._writer = self._writer, None
-            with contextlib.suppress(OSError):
-                if writer is not None:
-                    writer.stop()
-            if not suppress:
-                raise CanfbError(f"{self.path}: cannot be written: {reason(error)}") from error
+            if kind is None:
+                raise self._failed(error) from error
+
+    def _failed(self, error: Exception) -> CanfbError:
+        return CanfbError(f"{self.path}: cannot be written: {reason(error)}")
 
     def stop(self) -> None:
         self._stopped = True
@@ -418,8 +410,10 @@ class BusLog:
 
     def write(self, message: can.Message) -> None:
         assert self._writer is not None
-        with self._writing():
+        try:
             self._writer.on_message_received(message)
+        except OSError as error:
+            raise self._failed(error) from error
         self.frames += 1
         self.error_frames += message.is_error_frame
 

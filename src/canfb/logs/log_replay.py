@@ -452,13 +452,14 @@ def _done(
 ) -> Iterator[tuple[LogJob, list[LogRow]]]:
     number = min(len(jobs), workers or os.cpu_count() or 1)
     lost: list[LogJob] = []
+    spawn = multiprocessing.get_context("spawn")
     if executor is not None:
         lost += yield from _on(executor, jobs, settings, len(jobs))
     while jobs and number > 1:
-        with _processes(number) as pool:
+        with ProcessPoolExecutor(number, spawn) as pool:
             suspects = yield from _on(pool, jobs, settings, number)
         for suspect in suspects:
-            with _processes(1) as pool:
+            with ProcessPoolExecutor(1, spawn) as pool:
                 lost += yield from _on(pool, deque([suspect]), settings, 1)
     for job in jobs:
         yield job, rows_of(job, settings)
@@ -485,12 +486,3 @@ def _on(
                 rows = failed_rows(job, settings, f"{type(error).__name__}: {reason(error)}")
             yield job, rows
     return []
-
-
-@contextlib.contextmanager
-def _processes(number: int) -> Iterator[Executor]:
-    pool = ProcessPoolExecutor(number, multiprocessing.get_context("spawn"))
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from canfb.checks import number_in, within
+from canfb.checks import integer_in, number_in, within
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.device.core import NEVER
@@ -263,8 +263,7 @@ class Wire:
     """A bus of ``bit_rate`` bit/s, one frame at a time, each with the most stuff bits that there can be."""
 
     def __init__(self, bit_rate: int) -> None:
-        if not 10_000 <= bit_rate <= 1_000_000:
-            raise ValueError(f"bit_rate must be 10000..1000000 bit/s, not {bit_rate!r}")
+        integer_in("bit_rate", bit_rate, 10_000, 1_000_000)
         self.bit_rate = bit_rate
         self._waiting: list[Waiting] = []
         self._numbers = 0
