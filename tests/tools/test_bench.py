@@ -13,7 +13,7 @@ from canfb.cia301.frame import Frame
 from canfb.simulation.embedded_bus import EmbeddedBus
 from documentation import page
 from tools.bench import bus, bus_others, cycle
-from tools.bench.bus_load import SdoClient, set_up
+from tools.bench.bus_others import SdoClient, set_up
 from tools.bench.cycle import NODE_ID
 
 COMPARISON = cycle.Comparison("name", "ours", "other", 1.0)
@@ -112,8 +112,8 @@ def test_a_module_is_set_up_with_a_table() -> None:
     module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE_ID))
     bus.attach(module)
     bus.observers.append(lambda frame, now: load.take(frame.can_id, frame.data))
-    while load.waits:
-        can_id, request = load.frame
+    while load.frames:
+        can_id, request = load.frames[0]
         load.sent()
         bus.send(Frame(can_id, request))
     assert load.done

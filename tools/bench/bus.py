@@ -38,9 +38,8 @@ import numpy as np
 
 from canfb.configuration import RealtimeConfig
 from canfb.hosting.realtime import apply_realtime
-from tools.bench.bus_load import LOADS
 from tools.bench.bus_node import READY, REALTIME
-from tools.bench.bus_others import Others
+from tools.bench.bus_others import LOADS, Others
 from tools.site.text import table
 
 Combination = tuple[str, str, str]

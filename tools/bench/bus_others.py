@@ -1,7 +1,8 @@
 """The other nodes of tools.bench.bus: SYNC producer, encoder interface and a load; the times of frames.
 
-On a pair of sockets a frame that is sent has the time just before the call, on SocketCAN it comes back with
-the time of the kernel. What the node sends has the time of the kernel on both.
+The load is nothing, SDO block transfers, or PDOs of others. On a pair of sockets a frame that is sent has the
+time just before the call, on SocketCAN it comes back with the time of the kernel. What the node sends has the
+time of the kernel on both.
 """
 
 from __future__ import annotations
@@ -13,15 +14,24 @@ import socket
 import struct
 import sys
 import time
+import zlib
 from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import cycle
 
+from canfb import objects as od
 from canfb.bus.raw_can_bus import FrameReader
 from canfb.cia301.frame import frame_bits
-from tools.bench.bus_load import Load, SdoClient, set_up
 from tools.bench.bus_node import SYNCHRONOUS_PDO
-from tools.bench.cycle import ADC_PDO, POSITION_PDO, SYNC, UNITS_PER_CYCLE, adc_data
+from tools.bench.cycle import ADC_PDO, NODE_ID, POSITION_PDO, SYNC, UNITS_PER_CYCLE, adc_data, encoder_table
+from tools.fuzz.client import LARGEST_BLOCK, Follower
 
+SDO_REQUEST, SDO_ANSWER = 0x600 + NODE_ID, 0x580 + NODE_ID
+OTHERS_ID = 0x3A0  # of a PDO that the module does not listen to
+ENTRIES, FEW_ENTRIES = 4096, 256  # of a table: the most there are, and of the one in force
+DEPTHS = 0.0, 0.001  # of the tables, cycles
+ABORT, END_OF_UPLOAD = 0x80, 0xA1  # first bytes
 CAN_FRAME = struct.Struct("=IB3x8s")
 STEPS, PERIOD = 11, 100  # hundredths of a cycle from sample to sample: after 100 samples the phase repeats
 STEPS_INVERSE = pow(STEPS, -1, PERIOD)
@@ -32,6 +42,83 @@ WARM_UP = 300
 LONGEST_WARM_UP = 100
 LONGEST_LAG = 0.3  # of a period
 ADC_S = frame_bits(4) * BIT_S  # the encoder interface sends at once
+
+Transfer = tuple[bytes, bytes | None]
+"""The first request, and what is written after it; None: nothing."""
+
+
+class TransferFailed(RuntimeError):
+    """The module has aborted."""
+
+
+class Load:
+    """Frames of other nodes that wait until the bus has room: here none."""
+
+    def __init__(self, *frames: tuple[int, bytes]) -> None:
+        self.frames = deque(frames)
+
+    def sent(self) -> None:
+        """The first of them was sent."""
+
+    def take(self, can_id: int, data: bytes) -> None:
+        """A frame of the module."""
+
+
+class SdoClient(Load):
+    """The requests of these transfers, each when the one before is answered."""
+
+    def __init__(self, transfers: Iterator[Transfer]) -> None:
+        super().__init__()
+        self.done = False
+        self._transfers = transfers
+        self._client = Follower()
+        self._begin()
+
+    def sent(self) -> None:
+        self.frames.popleft()
+
+    def take(self, can_id: int, data: bytes) -> None:
+        if can_id != SDO_ANSWER or self.done:
+            return
+        if data[0] == ABORT:
+            raise TransferFailed(f"{data.hex(' ')} to {self._request.hex(' ')}")
+        self._client.heard(data)
+        if not self._client.is_within_block(data):
+            following = self._client.requests()
+            self.frames.extend((SDO_REQUEST, one) for one in following)
+            if not following or following[-1][0] == END_OF_UPLOAD:  # which has no answer
+                self._begin()
+
+    def _begin(self) -> None:
+        transfer = next(self._transfers, None)
+        self.done = transfer is None
+        if transfer is not None:
+            self._request, self._client.content = transfer
+            self.frames.append((SDO_REQUEST, self._request))
+
+
+def table_in_force(content: bytes) -> Iterator[Transfer]:
+    """A block download (CiA 301, 7.2.4.3.8), and its activation."""
+    yield struct.pack("<BHBI", 0xC6, *od.TABLE_STAGED, len(content)), content
+    yield struct.pack("<BHBI", 0x23, *od.TABLE_ACTIVATE, zlib.crc32(content)), None
+
+
+def set_up() -> Iterator[Transfer]:
+    return table_in_force(encoder_table(FEW_ENTRIES, DEPTHS[0]).to_bytes())
+
+
+def tables() -> Iterator[Transfer]:
+    """Block download to 2020:01, activation, block upload, of two tables in turns, for ever."""
+    for content in cycle([encoder_table(ENTRIES, depth).to_bytes() for depth in DEPTHS]):
+        yield from table_in_force(content)
+        yield struct.pack("<BHBI", 0xA4, *od.TABLE_STAGED, LARGEST_BLOCK), None
+
+
+LOADS: dict[str, Callable[[], Load]] = {
+    "alone": Load,
+    "sdo": lambda: SdoClient(tables()),
+    "full": lambda: Load((OTHERS_ID, bytes(8))),
+}
 
 
 @dataclass
@@ -110,7 +197,7 @@ class Others:
 
     def _until(self, moment_s: float) -> None:
         while (left_s := moment_s - time.monotonic()) > 0.0:
-            if self._load.waits:
+            if self._load.frames:
                 busy_s = self._free_s - moment_s + left_s
                 if busy_s <= 0.0:
                     self._send_load()
@@ -122,7 +209,7 @@ class Others:
                     self._take(*frame)
 
     def _send_load(self) -> None:
-        can_id, data = self._load.frame
+        can_id, data = self._load.frames[0]
         self._free_s = time.monotonic() + frame_bits(len(data)) * BIT_S
         with contextlib.suppress(BlockingIOError):
             self._bus.send(CAN_FRAME.pack(can_id, len(data), data), socket.MSG_DONTWAIT)
