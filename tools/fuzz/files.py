@@ -1,13 +1,14 @@
 """Files from outside: an input is the number of a reader in READERS, and the content of its file.
 
 A reader returns for a file that it accepts, and raises one of its refusals, in one line, for another. What
-inputs begin with are small files that the program itself writes, or that lie in eds/ and docs/.
+inputs begin with are small files that the program itself writes, or that stand in eds/ and docs/.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import re
 import struct
 import tempfile
 import zlib
@@ -56,21 +57,14 @@ BOMB = b"x:\n" + b"".join(
 SECTIONS = {"FileInfo", "DeviceInfo", "DummyUsage", "Comments", "MandatoryObjects"}
 SECTIONS |= {"1000", "1003", "1017", "1018", "1400", "1600", "2001", "2010", "2012", "2020", "6004"}
 """Those of the EDS that an input has: the whole file takes too long to be read a million times."""
+DOCS = Path(__file__).parents[2] / "docs"
 CONFIGURATION = """\
-bus: {interface: virtual, channel: x, bitrate: 500000}
 modules:
-  - {node_id: 33, encoder_interface: 16, adc_bits: 14, times: true, residual_limit: 0.3,
-     conditioning: {sine_offset_counts: 3, cosine_delay_s: 1e-6}, corner_hz: 125e3, samples_per_sync: 2,
-     second_position: {cob_id: 0x3B0, increments: 65536, tolerance_revolutions: 0.01}}
-  - {node_id: 255, serial_number: 12, source: {kind: motion}, write_lock: code, unlock_code: 5}
-interfaces:
-  - {node_id: 17, source: {kind: recording, file: /dev/null, columns: [sine, 1], time_column: t, gap_s: 0.5}}
-realtime: {priority: 80, lock_memory: false, cpu: 0}
-simulation:
-  encoder: {amplitude: 0.7, harmonics: [{order: 2, sine: 0.01, cosine: 0}]}
-  motion: {standstill_s: 0.1, ramp_s: 1, rpm: 300, ripple_rpm: 1, ripple_hz: 2}
-  drive: {node_id: 0x30}
+  - {node_id: 33, residual_limit: 0.3, corner_hz: 125e3, conditioning: {sine_offset_counts: 3}, unlock_code: 5}
+  - {node_id: 34, source: {kind: recording, file: x, columns: [s, 1], time_column: t, gap_s: 0.5}}
+simulation: {encoder: {harmonics: [{order: 2, sine: 0.01, cosine: 0}]}, motion: {ripple_rpm: 1, ripple_hz: 2}}
 """
+"""Keys that the examples of docs/ do not have."""
 SETTINGS = """\
 residual_limit=0.25
 times=false
@@ -152,15 +146,17 @@ def _concise(path: Path) -> None:
 def _configuration(path: Path) -> None:
     config = load_config(path, ANY_NODES)
     for module in config.modules[:3]:
-        FeedbackModule(module, source=None if module.source is None else _Silent()).start(0.0)
+        FeedbackModule(module, source=None if module.source is None else body.Turning()).start(0.0)
     source = config.simulation.source(12, 2500, 1e-3)
     for _ in range(SAMPLES):
         source.next()
 
 
-class _Silent:
-    def next(self) -> None:
-        """No sample."""
+def _configurations() -> list[bytes]:
+    pages = "".join(page.read_text(encoding="utf-8") for page in DOCS.glob("*.md"))
+    examples = re.findall(r"^```yaml\n(.*?)^```", pages, re.MULTILINE | re.DOTALL)
+    bomb = BOMB + b"bus: {channel: *b8}\nmodules: [{node_id: 1}]\n"
+    return [*(one.encode() for one in [CONFIGURATION, *sorted(examples)]), bomb]
 
 
 def _settings(path: Path) -> None:
@@ -291,11 +287,7 @@ def _states() -> list[bytes]:
 READERS = (
     Reader(".eds", _eds, _some_eds, (CanfbError, ValueError)),
     Reader(".dcf", _concise, lambda: [encode_concise(configuration_of(_module()).writes())], (ValueError,)),
-    Reader(
-        ".yaml",
-        _configuration,
-        lambda: [CONFIGURATION.encode(), BOMB + b"bus: {channel: *b8}\nmodules: [{node_id: 1}]\n"],
-    ),
+    Reader(".yaml", _configuration, _configurations),
     Reader(".txt", _settings, lambda: [SETTINGS.encode()]),
     Reader(".yaml", _table, _tables),
     Reader(".bin", _table, lambda: [TABLE.to_bytes()]),
