@@ -22,7 +22,7 @@ from tools.fuzz.body import Play
 from tools.fuzz.bounds import BeyondBoundsError, bounded
 from tools.fuzz.files import READERS, NotOneLineError, Reader
 from tools.fuzz.inputs import INPUTS, NODE_ID, SERVER, Input
-from tools.fuzz.watch import Broken, SdoWatcher
+from tools.fuzz.sdo import Broken, SdoWatcher
 
 CORPUS = [
     line.rpartition(": ")

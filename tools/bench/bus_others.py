@@ -25,7 +25,7 @@ from canfb.bus.raw_can_bus import FrameReader
 from canfb.cia301.frame import frame_bits
 from tools.bench.bus_node import SYNCHRONOUS_PDO
 from tools.bench.cycle import ADC_PDO, NODE_ID, POSITION_PDO, SYNC, UNITS_PER_CYCLE, adc_data, encoder_table
-from tools.fuzz.client import LARGEST_BLOCK, Follower
+from tools.fuzz.sdo import LARGEST_BLOCK, Follower
 
 SDO_REQUEST, SDO_ANSWER = 0x600 + NODE_ID, 0x580 + NODE_ID
 OTHERS_ID = 0x3A0  # of a PDO that the module does not listen to

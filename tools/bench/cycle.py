@@ -15,7 +15,7 @@ import struct
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
 
@@ -128,13 +128,10 @@ def encoder_table(entries: int = TABLE_ENTRIES, error_cycles: float = 0.01) -> c
     return canfb.CorrectionTable(ideal + error_cycles * np.sin(2 * np.pi * (ideal + 0.1)))
 
 
-def feedback_module(times: bool = False, **fields: Any) -> canfb.FeedbackModule:
-    """The module with factory defaults, operational, with an active correction table."""
-    module = canfb.FeedbackModule(
-        canfb.ModuleConfig(
-            node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True, times=times, **fields
-        )
-    )
+def feedback_module(**fields: Any) -> canfb.FeedbackModule:
+    """The module with these fields, else factory defaults, operational, with an active correction table."""
+    words = {"node_id": NODE_ID, "encoder_interface": ENCODER_INTERFACE, "autostart": True}
+    module = canfb.FeedbackModule(canfb.ModuleConfig(**words | fields))
     module.start(0.0)
     table = encoder_table()
     module.dictionary.entry(0x2020, 1).download(table.to_bytes())
@@ -151,17 +148,11 @@ def adc_data(cycles: int, speed: float = 0.3) -> list[bytes]:
     ]
 
 
-ANALOG_PATHS: dict[str, dict[str, Any]] = {
-    "2002:06": {"conditioning": canfb.Conditioning(cosine_delay_s=1e-6)},
-    "2002:07": {"conditioning": canfb.Conditioning(delay_s=1e-6)},
-}
-
-
 class ModuleRun:
     interval_s = INTERVAL_S
 
-    def __init__(self, cycles: int, *, speed: float = 0.3, times: bool = False, **fields: Any) -> None:
-        self.module = feedback_module(times, **fields)
+    def __init__(self, cycles: int, *, speed: float = 0.3, **fields: Any) -> None:
+        self.module = feedback_module(**fields)
         self.sync = canfb.Frame(SYNC, b"")
         self.samples = [canfb.Frame(ADC_PDO, data) for data in adc_data(cycles, speed)]
         self.now = 0.0
@@ -199,11 +190,11 @@ class TimedRun(ModuleRun):
 
 
 class StockRun:
-    def __init__(self, network: canopen.Network, cycles: int) -> None:
-        stock_node(network)
-        self.network = network
+    def __init__(self) -> None:
+        self.network = StockNetwork()
+        stock_node(self.network)
         self.sync = bytearray()
-        self.samples = [bytearray(data) for data in adc_data(cycles)]
+        self.samples = [bytearray(data) for data in adc_data(CYCLES)]
         self.now = 0.0
 
     def cycles(self, samples: list[bytearray]) -> None:
@@ -221,17 +212,17 @@ class StockRun:
 # Arrays
 
 
-def tracks(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position in cycles, sine, cosine: to and fro at up to 0.45 cycles a sample.
+def tracks(kind: type = np.float64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Way in cycles, sine, cosine of this type: to and fro at up to 0.45 cycles a sample.
 
     numpy.unwrap needs less than half a cycle a sample; the module does not.
     """
-    speed = 0.45 * np.sin(np.arange(samples) * 1e-3)
-    position = np.cumsum(speed) + 0.1
-    noise = np.random.default_rng(1).normal(0.0, 1.0, (2, samples))
+    position = np.cumsum(0.45 * np.sin(np.arange(SAMPLES) * 1e-3)) + 0.1
+    noise = np.random.default_rng(1).normal(0.0, 1.0, (2, SAMPLES))
     angle = 2 * np.pi * position
-    sine, cosine = AMPLITUDE_COUNTS * np.sin(angle) + noise[0], AMPLITUDE_COUNTS * np.cos(angle) + noise[1]
-    return position, sine, cosine
+    counts = AMPLITUDE_COUNTS * np.stack([np.sin(angle), np.cos(angle)]) + noise
+    sine, cosine = np.rint(counts).astype(kind) if kind is np.int16 else counts
+    return position - position[0], sine, cosine
 
 
 def array_goals() -> tuple[float, float, float]:
@@ -241,38 +232,28 @@ def array_goals() -> tuple[float, float, float]:
 
 def process_arrays(kind: type) -> Work:
     """`canfb.process` of this type of samples, whose positions are right."""
-    position, sine, cosine = tracks(SAMPLES)
-    s, c = as_type(sine, kind), as_type(cosine, kind)
-    table = encoder_table()
-
-    def ours() -> canfb.TrackResult:
-        return canfb.process(s, c, table, speed_cycles=0.0)
-
+    way, sine, cosine = tracks(kind)
+    ours = partial(canfb.process, sine, cosine, encoder_table(), speed_cycles=0.0)
     result = ours()
-    moved = (result.cycles + result.phase) - (result.cycles[0] + result.phase[0])
+    moved = result.cycles + result.phase
     assert result.ok.all()
-    assert np.abs(moved - (position - position[0])).max() < 0.1
+    assert np.abs(moved - moved[0] - way).max() < 0.1
     return ours
 
 
 def unwrap_arrays(kind: type) -> Work:
-    position, sine, cosine = tracks(SAMPLES)
-    s, c = as_type(sine, kind), as_type(cosine, kind)
+    way, sine, cosine = tracks(kind)
 
     def other() -> np.ndarray:
-        return np.unwrap(np.arctan2(s, c))
+        return np.unwrap(np.arctan2(sine, cosine))
 
-    assert np.abs(other() - other()[0] - 2 * np.pi * (position - position[0])).max() < 0.1
+    assert np.abs(other() - other()[0] - 2 * np.pi * way).max() < 0.1
     return other
-
-
-def as_type(track: np.ndarray, kind: type) -> np.ndarray:
-    return np.rint(track).astype(kind) if kind is np.int16 else track
 
 
 def supervised_stream() -> Work:
     """The supervised chain over the same samples, from one to the next block of them."""
-    _, sine, cosine = tracks(SAMPLES)
+    _, sine, cosine = tracks()
     table = encoder_table()
     parts = [slice(start, start + STREAM_BLOCK) for start in range(0, len(sine), STREAM_BLOCK)]
 
@@ -283,16 +264,21 @@ def supervised_stream() -> Work:
     return ours
 
 
+def module_run(**fields: Any) -> Timed:
+    return Timed(partial(ModuleRun, CYCLES, **fields), CYCLES)
+
+
 MODULE, STOCK, NUMPY, NUMPY_16 = "module", "canopen", "numpy, float64", "numpy, int16"
 SLEPT = ", after a sleep"
 WORK: dict[str, Timed] = {
-    MODULE: Timed(partial(ModuleRun, CYCLES), CYCLES),
-    **{name: Timed(partial(ModuleRun, CYCLES, **fields), CYCLES) for name, fields in ANALOG_PATHS.items()},
-    "2002:08": Timed(partial(ModuleRun, CYCLES, adapt=True), CYCLES),
+    MODULE: module_run(),
+    "2002:06": module_run(conditioning=canfb.Conditioning(cosine_delay_s=1e-6)),
+    "2002:07": module_run(conditioning=canfb.Conditioning(delay_s=1e-6)),
+    "2002:08": module_run(adapt=True),
     "sample times": Timed(TimedRun, TimedRun.CYCLES),
-    STOCK: Timed(lambda: StockRun(StockNetwork(), CYCLES), CYCLES),
-    MODULE + SLEPT: Timed(partial(ModuleRun, CYCLES), CYCLES, seconds_slept),
-    STOCK + SLEPT: Timed(lambda: StockRun(StockNetwork(), CYCLES), CYCLES, seconds_slept),
+    STOCK: Timed(StockRun, CYCLES),
+    MODULE + SLEPT: replace(module_run(), seconds=seconds_slept),
+    STOCK + SLEPT: Timed(StockRun, CYCLES, seconds_slept),
     "process, float64": Timed(partial(process_arrays, np.float64), SAMPLES),
     "process, int16": Timed(partial(process_arrays, np.int16), SAMPLES),
     "process_stream": Timed(supervised_stream, SAMPLES),

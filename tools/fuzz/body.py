@@ -9,6 +9,7 @@ serves the next client.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache
 from typing import NamedTuple
@@ -26,9 +27,8 @@ from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
-from tools.fuzz.client import Follower
 from tools.fuzz.inputs import CONTENTS, LSS, NODE_ID, SERVER, Input, Step
-from tools.fuzz.watch import Broken, SdoWatcher, demand
+from tools.fuzz.sdo import Broken, Follower, SdoWatcher, demand
 
 Device = FeedbackModule | EncoderInterface
 
@@ -124,7 +124,7 @@ class Play:
     def receive(self, frame: Frame) -> list[Frame]:
         state, may = self.device.state, self._services()
         if state in COMMUNICATING and not frame.rtr:
-            if frame.can_id == 0x600 + self.device.node_id:
+            if frame.can_id == 0x600 + self.node_id:
                 self._first.request(frame.data)
             if may.second is not None and frame.can_id == may.second[0]:
                 self._second.request(frame.data)
@@ -252,25 +252,25 @@ def play(given: Input) -> int:
     """One input, from power-on to the last check: how many frames came. Raises when something is wrong."""
     choice = given.device
     store = MemoryStore() if choice & SAVING else None
-    run = Play(make(choice, store))
-    if not choice & UNSTARTED:
-        run.start()
-    for step in given.steps:
-        run.do(step)
-    if choice & UNSTARTED:
-        run.start()
-    run.check_values()
-    run.check_alive()
+    received = _played(make(choice, store), given.steps, unstarted=bool(choice & UNSTARTED))
     if store is None:
-        return run.received
-    received = run.received
+        return received
     if choice & DAMAGED:
         damage(store, given.place, given.change)
-    run = Play(make(choice, store))
-    run.start()
+    return received + _played(make(choice, store))
+
+
+def _played(device: Device, steps: Sequence[Step] = (), *, unstarted: bool = False) -> int:
+    run = Play(device)
+    if not unstarted:
+        run.start()
+    for step in steps:
+        run.do(step)
+    if unstarted:
+        run.start()
     run.check_values()
     run.check_alive()
-    return received + run.received
+    return run.received
 
 
 def damage(store: MemoryStore, place: int, change: int) -> None:

@@ -43,7 +43,7 @@ from canfb.sources.recording_source import RecordingLayout, open_recording
 from tools.fuzz import body
 from tools.fuzz.bounds import bounded
 from tools.fuzz.inputs import NODE_ID
-from tools.fuzz.watch import demand
+from tools.fuzz.sdo import demand
 
 SAMPLES = 20
 """That are taken of a simulated source, or a recording."""
@@ -60,8 +60,8 @@ SECTIONS |= {"1000", "1003", "1017", "1018", "1400", "1600", "2001", "2010", "20
 DOCS = Path(__file__).parents[2] / "docs"
 CONFIGURATION = """\
 modules:
-  - {node_id: 33, residual_limit: 0.3, corner_hz: 125e3, conditioning: {sine_offset_counts: 3}, unlock_code: 5}
-  - {node_id: 34, source: {kind: recording, file: x, columns: [s, 1], time_column: t, gap_s: 0.5}}
+  - {node_id: 33, residual_limit: 0.3, corner_hz: 1e5, conditioning: {sine_offset_counts: 3}}
+  - {node_id: 34, unlock_code: 5, source: {kind: recording, file: x, time_column: t, gap_s: 0.5}}
 simulation: {encoder: {harmonics: [{order: 2, sine: 0.01, cosine: 0}]}, motion: {ripple_rpm: 1, ripple_hz: 2}}
 """
 """Keys that the examples of docs/ do not have."""
