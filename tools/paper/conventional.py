@@ -12,13 +12,13 @@ from canfb.signal.phase import FloatArray, raw_phases
 from canfb.simulation.encoder import Encoder
 from tools.paper.claim import Claim, Effort, grouped, verdict
 from tools.paper.plant import (
-    CYCLES_PER_REVOLUTION,
     EXTREME,
     IDEAL,
     USUAL,
     WRONG_CYCLES,
     Way,
     bisected,
+    cycles_per_sample,
     followed,
     score,
     turning,
@@ -29,10 +29,6 @@ SPEEDS_RPM = (20.0, 200.0, 2000.0)
 OFFSETS_S = (0.1e-6, 1e-6)
 MILLION = 1e6
 SAMPLES = 1_000_000
-
-
-def shift_cycles(rpm: float, offset_s: float) -> float:
-    return rpm / 60.0 * CYCLES_PER_REVOLUTION * offset_s
 
 
 def quadrant(sine: FloatArray, cosine: FloatArray) -> FloatArray:
@@ -57,17 +53,10 @@ def counted(encoder: Encoder, sampled: FloatArray, shift: float, fix: bool) -> F
 def wrong_per_million(encoder: Encoder, rpm: float, shift: float, fix: bool, samples: int) -> float:
     """Wrong positions per 10^6 samples at constant speed, the counter read `shift` cycles further on."""
     # Not quite the round speed: the samples are to meet all phases.
-    step = rpm / 60.0 * CYCLES_PER_REVOLUTION / RATE_HZ + 1e-3 * np.sqrt(2.0)
+    step = cycles_per_sample(rpm, RATE_HZ) + 1e-3 * np.sqrt(2.0)
     position = 0.3 + step * np.arange(samples)
     wrong = np.abs(counted(encoder, position, shift, fix) - position) > WRONG_CYCLES
     return MILLION * float(np.mean(wrong))
-
-
-def ours_wrong(samples: int) -> int:
-    """Wrong positions of the tracker at 2000 rpm and 1 kHz: there is no counter to disagree."""
-    speed = SPEEDS_RPM[-1] / 60.0 * CYCLES_PER_REVOLUTION / RATE_HZ
-    way = Way.from_steps(turning(speed, samples))
-    return score(way, followed(USUAL, way, np.random.default_rng(22))).wrong
 
 
 def fix_bears(encoder: Encoder, samples: int) -> float:
@@ -94,12 +83,13 @@ def extremes() -> Iterator[Encoder]:
 def conventional(effort: Effort) -> Iterator[Claim]:
     samples = min(SAMPLES, effort.samples)
     plain = {
-        (rpm, offset): wrong_per_million(USUAL, rpm, shift_cycles(rpm, offset), False, samples)
+        (rpm, offset): wrong_per_million(USUAL, rpm, cycles_per_sample(rpm, 1.0) * offset, False, samples)
         for rpm in SPEEDS_RPM
         for offset in (0.0, *OFFSETS_S)
     }
-    expected = {key: MILLION * shift_cycles(*key) for key in plain}
-    ours = ours_wrong(samples)
+    expected = {key: MILLION * cycles_per_sample(key[0], 1.0) * key[1] for key in plain}
+    way = Way.from_steps(turning(cycles_per_sample(SPEEDS_RPM[-1], RATE_HZ), samples))
+    ours = score(way, followed(USUAL, way, np.random.default_rng(22))).wrong
     listed = "; ".join(
         f"{rpm:.0f} rpm: {' and '.join(grouped(plain[rpm, offset]) for offset in OFFSETS_S)}"
         for rpm in SPEEDS_RPM
@@ -119,7 +109,7 @@ def conventional(effort: Effort) -> Iterator[Claim]:
     yield Claim(
         "conventional-fix",
         f"0.2 cycle apart: {below:.0f} wrong. It tolerates {bears:.3f} cycle "
-        f"({1e6 * bears / shift_cycles(2000.0, 1.0):.1f} µs at 2000 rpm) with ideal tracks, and down to "
+        f"({1e6 * bears / cycles_per_sample(2000.0, 1.0):.1f} µs at 2000 rpm) with ideal tracks, and down to "
         f"{bears_extreme:.3f} with 40 % offset and 20 % amplitude error; 0.3 cycle apart "
         f"{grouped(beyond)} of 10⁶ are wrong",
         verdict(
