@@ -94,16 +94,11 @@ def start_speeds(rng: Rng, episodes: int, reserve: float) -> Array:
     return np.where(rng.uniform(size=episodes) < 0.5, sharp, speeds)
 
 
-def on_grid(start: Array | float, speed: Array | float, u: Array) -> Array:
-    """Positions on the even grid, of the shape of ``u``."""
-    return np.asarray(start + np.cumsum(speed + np.cumsum(u, axis=-1), axis=-1))
-
-
 def positions(u: Array, speed: Array, rng: Rng, instants: Array | None = None) -> Array:
     """Positions in cycles, of the shape of ``u``, on the even grid or at ``instants`` (intervals)."""
     start = rng.uniform(0.0, 1.0, len(u))
     if instants is None:
-        return on_grid(start[:, None], speed[:, None], u)
+        return np.asarray(start[:, None] + np.cumsum(speed[:, None] + np.cumsum(u, axis=1), axis=1))
     length = int(np.max(instants)) + 2
     u = np.pad(u, ((0, 0), (0, max(0, length - u.shape[1]))), mode="edge")
     zero = np.zeros((len(u), 1))

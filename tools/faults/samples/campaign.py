@@ -17,19 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tools.faults.engine import (
-    Campaign,
-    Cell,
-    Results,
-    Rows,
-    Sums,
-    Work,
-    by_setup,
-    chosen,
-    parser,
-    run,
-    total,
-)
+from tools.faults import engine
+from tools.faults.engine import Campaign, Cell, Results, Rows, Sums, Work, total
 from tools.faults.samples import tracks
 from tools.faults.samples.episodes import KINDS, Declared, Episode, Published, State, chain_for, draw, play
 from tools.faults.samples.judge import Cause, Verdict, judge, proof
@@ -130,7 +119,7 @@ def misses(cell: Cell, sums: Sums) -> Iterator[str]:
 
 def table_of(text: Callable[[Sums], str], results: Results) -> Rows:
     """Faults below each other, set-ups side by side; then all: silent as declared, and beyond."""
-    head, *rows = by_setup(results, lambda _, sums: text(sums))
+    head, *rows = engine.by_setup(results, lambda _, sums: text(sums))
     sums = [total(results, setup=one) for one in head[1:]]
     silent = [f"{one['silent']} of {one['declared']}" for one in sums]
     beyond = [f"{one['beyond']} of {one['episodes'] - one['declared']}" for one in sums]
@@ -162,11 +151,13 @@ def show(name: str, player: Player) -> str:
 
 def campaign(player: Player, faults: Sequence[str] = ("*",), setups: Sequence[str] = ("*",)) -> Campaign:
     table = TABLES[player.table]
-    return Campaign(chosen(table.faults, faults), chosen(table.setups, setups), player, misses, CHUNK)
+    return Campaign(
+        engine.chosen(table.faults, faults), engine.chosen(table.setups, setups), player, misses, CHUNK
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    options = parser("tools.faults.samples.campaign", __doc__, 200, 24)
+    options = engine.parser("tools.faults.samples.campaign", __doc__, 200, 24)
     options.add_argument("table", choices=TABLES, help="faults of the tracks, or of the cycle count")
     options.add_argument("--adapt", action="store_true", help="tracks: their drift is followed (2002:08)")
     options.add_argument(
@@ -184,7 +175,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         one = campaign(player, said.faults, said.setup)
     except ValueError as error:
         options.error(str(error))
-    return run(one, said, lambda results: table_of(TABLES[said.table].text, results))
+    return engine.run(one, said, lambda results: table_of(TABLES[said.table].text, results))
 
 
 if __name__ == "__main__":

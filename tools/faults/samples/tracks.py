@@ -265,36 +265,30 @@ def _any_track(rng: Rng) -> Signal:
     return (Signal.SINE, Signal.COSINE, Signal.BOTH)[int(rng.integers(3))]
 
 
-def _computed(name: str) -> TrackFault:
-    """One of those that `canfb plan --coverage` computes, drawn in the same way."""
-    draw_one = COMPUTED[name]
-    assert draw_one is not None
-    return TrackFault(lambda rng: draw_one(rng, A))
+def _nominal(draw: Callable[[Rng, float], Fault]) -> Callable[[Rng], Fault]:
+    return lambda rng: draw(rng, A)
 
 
-def _short(rng: Rng) -> Fault:
-    return faults.shorted_track(_any_track(rng), bool(rng.uniform() < 0.5))
+def _faults(name: str, draw: Callable[[Rng], Fault], *lengths: int | None) -> dict[str, TrackFault]:
+    """One that lasts so many samples each; None: see :class:`TrackFault`."""
+    return {name if n is None else f"{name}, {n}": TrackFault(draw, n) for n in lengths}
 
 
-def _noise(rng: Rng) -> Fault:
-    return excess_noise(_any_track(rng), float(rng.uniform(0.03, 1.0)) * A)
-
-
-def _phase_glitch(rng: Rng) -> Fault:
-    return phase_glitch(A, common=bool(rng.uniform() < 0.5))
-
-
+# Those that `canfb plan --coverage` computes, drawn in the same way, and others.
 TRACK_FAULTS: dict[str, TrackFault] = {
-    **{name: _computed(name) for name, drawn in COMPUTED.items() if drawn is not None},
-    "short to a supply": TrackFault(_short),
-    "excess noise": TrackFault(_noise),
-    **{f"phase glitch, {n}": TrackFault(_phase_glitch, n) for n in (1, 2, 3)},
-    **{f"random counts, {n}": TrackFault(lambda _: count_glitch(), n) for n in (1, 2, 3)},
-    "random counts": TrackFault(lambda _: count_glitch()),
-    **{f"lost, {n}": TrackFault(lambda _: lost_samples(), n) for n in (1, 2, 3)},
-    "lost": TrackFault(lambda _: lost_samples()),
-    **{f"repeated, {n}": TrackFault(lambda _: faults.frozen_samples(), n) for n in (1, 2, 3)},
-    "repeated every other": TrackFault(lambda _: repeated_samples()),
-    **{f"late, {n}": TrackFault(lambda _: late_samples(), n) for n in (1, 2, 3)},
-    "late": TrackFault(lambda _: late_samples()),
+    **{name: TrackFault(_nominal(drawn)) for name, drawn in COMPUTED.items() if drawn},
+    **_faults(
+        "short to a supply",
+        lambda rng: faults.shorted_track(_any_track(rng), bool(rng.uniform() < 0.5)),
+        None,
+    ),
+    **_faults(
+        "excess noise", lambda rng: excess_noise(_any_track(rng), float(rng.uniform(0.03, 1.0)) * A), None
+    ),
+    **_faults("phase glitch", lambda rng: phase_glitch(A, common=bool(rng.uniform() < 0.5)), 1, 2, 3),
+    **_faults("random counts", lambda _: count_glitch(), 1, 2, 3, None),
+    **_faults("lost", lambda _: lost_samples(), 1, 2, 3, None),
+    **_faults("repeated", lambda _: faults.frozen_samples(), 1, 2, 3),
+    **_faults("repeated every other", lambda _: repeated_samples(), None),
+    **_faults("late", lambda _: late_samples(), 1, 2, 3, None),
 }

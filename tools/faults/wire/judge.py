@@ -22,16 +22,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
+from tools.faults.wire import physics
 from tools.faults.wire.line import Event, Line, Plan, Sent
-from tools.faults.wire.physics import (
-    STEP_SYNCS,
-    answers_another,
-    host_may_be_late,
-    is_smooth,
-    stamp_tolerance,
-    unseen,
-    within_half,
-)
+from tools.faults.wire.physics import within_half
 from tools.faults.wire.setups import (
     CYCLES_PER_REVOLUTION,
     EMCY_ID,
@@ -100,7 +93,9 @@ class Judge:
         self._start = SEARCH if plan.setup.times and plan.options.limit is not None else 0  # samples
         self._lost = False
         self._last_wrong = 0.0  # T
-        self._tolerance = stamp_tolerance(plan.setup, plan.options.interval_s) if plan.setup.times else 0.0
+        self._tolerance = (
+            physics.stamp_tolerance(plan.setup, plan.options.interval_s) if plan.setup.times else 0.0
+        )
         self._status: int | None = None  # of an SDO read
         self.shown: list[Shown] = []
         self.verdict = Verdict()
@@ -140,9 +135,9 @@ class Judge:
         ended_valid = bool(positions) and positions[-1].valid
         verdict.right_at_end = ended_valid and abs(positions[-1].error) <= self._plan.tolerance
         if verdict.wrong:
-            physics = self._is_p8() if self._plan.note.startswith("P8") else self._plan.note.startswith("P")
-            physics = physics or unseen(self._plan, self._last_wrong) == "P1"
-            verdict.outcome = "physics" if physics or self._is_p7() or self._is_p9() else "wrong"
+            excused = self._is_p8() if self._plan.note.startswith("P8") else self._plan.note.startswith("P")
+            excused = excused or physics.unseen(self._plan, self._last_wrong) == "P1"
+            verdict.outcome = "physics" if excused or self._is_p7() or self._is_p9() else "wrong"
         elif self._lost or not ended_valid:
             verdict.outcome = "lost"
         elif verdict.not_valid:
@@ -151,12 +146,12 @@ class Judge:
     def _is_p8(self) -> bool:
         """A step of SYNC within the noise of receive times: seen after a while, or too small."""
         plan = self._plan
-        seen_late = plan.note == "P8" or self._last_wrong <= plan.fault + STEP_SYNCS
+        seen_late = plan.note == "P8" or self._last_wrong <= plan.fault + physics.STEP_SYNCS
         return seen_late and not plan.setup.times
 
     def _is_p7(self) -> bool:
         """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown until then."""
-        if self._plan.setup.times or not answers_another(self._line):
+        if self._plan.setup.times or not physics.answers_another(self._line):
             return False
         answers = ((pdo, one) for pdo, one in self._answers() if one.now <= self._last_wrong)
         return self._is_legal([(self._last_sync(pdo.time), one.position) for pdo, one in answers])
@@ -186,7 +181,7 @@ class Judge:
         return [(one.pdo, one) for one in valid if one.pdo is not None]
 
     def _is_legal(self, shown: list[tuple[float, float]], margin: float = LIMIT_MARGIN) -> bool:
-        return is_smooth(shown, (self._plan.options.limit or RESIDUAL_LIMIT) + margin, RANGE_CYCLES)
+        return physics.is_smooth(shown, (self._plan.options.limit or RESIDUAL_LIMIT) + margin, RANGE_CYCLES)
 
     def _see_sdo(self, one: Sent, data: bytes) -> None:
         _, index, subindex = struct.unpack_from("<BHB", data)
@@ -247,7 +242,7 @@ class Judge:
                 float(self._plan.motion.at([cause.time - 1.0])[0])
             ]
             plan = self._plan
-            if one.newest >= 0 and host_may_be_late(plan.setup, plan.options.interval_s):
+            if one.newest >= 0 and physics.host_may_be_late(plan.setup, plan.options.interval_s):
                 newest = line.sample_times[one.newest]
                 true += [line.positions[one.newest], float(plan.motion.at([newest + 1.0])[0])]
             if plan.options.predict:
