@@ -11,6 +11,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -41,46 +42,45 @@ class BeyondBoundsError(BaseException):
     """An input did what none may do. No ``except Exception`` hides it."""
 
 
-class _WatchedFolder:
-    """The only folder that may be written to; None while nothing is watched. Audit hooks stay for good."""
+_folder: str | None = None
+"""The only one that may be written to; None while nothing is watched."""
 
-    path: str | None = None
-    hooked = False
 
-    @classmethod
-    def hook(cls, event: str, arguments: tuple[Any, ...]) -> None:
-        if cls.path is None:
-            return
-        writes = event == "open" and isinstance(arguments[2], int) and arguments[2] & WRITES
-        if not writes and event not in ACTIONS:
-            return
-        if not all(cls._holds(name) for name in arguments[: 2 if event in MOVES else 1]):
-            raise BeyondBoundsError(f"{event}{arguments!r:.200}")
+def _hook(event: str, arguments: tuple[Any, ...]) -> None:
+    if _folder is None:
+        return
+    writes = event == "open" and isinstance(arguments[2], int) and arguments[2] & WRITES
+    if (writes or event in ACTIONS) and not all(map(_is_ours, arguments[: 2 if event in MOVES else 1])):
+        raise BeyondBoundsError(f"{event}{arguments!r:.200}")
 
-    @classmethod
-    def _holds(cls, name: object) -> bool:
-        """Whether this is a path in the folder, or an open file."""
-        if isinstance(name, (str, bytes)) and cls.path is not None:
-            return os.path.abspath(os.fsdecode(name)).startswith(cls.path)
-        return isinstance(name, int)
+
+def _is_ours(name: object) -> bool:
+    """Whether this is a path in the folder, or an open file."""
+    if isinstance(name, (str, bytes)) and _folder is not None:
+        return os.path.abspath(os.fsdecode(name)).startswith(_folder)
+    return isinstance(name, int)
+
+
+@cache
+def _hook_for_good() -> None:
+    sys.addaudithook(_hook)
 
 
 @contextmanager
 def bounded(folder: Path, seconds: float = LONGEST_S, memory: int = MOST_MEMORY) -> Iterator[None]:
     """BeyondBoundsError for what takes more, and for what is written outside of ``folder`` or started."""
-    if not _WatchedFolder.hooked:
-        sys.addaudithook(_WatchedFolder.hook)
-        _WatchedFolder.hooked = True
+    global _folder
+    _hook_for_good()
     before, cached = signal.signal(signal.SIGVTALRM, _too_long), sys.dont_write_bytecode
     largest = _largest_memory()
     sys.dont_write_bytecode = True
-    _WatchedFolder.path = str(folder.resolve())
+    _folder = str(folder.resolve())
     signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
-        _WatchedFolder.path = None
+        _folder = None
         sys.dont_write_bytecode = cached
         signal.signal(signal.SIGVTALRM, before)
     grown = _largest_memory() - largest

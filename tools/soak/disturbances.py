@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 
 from canfb import objects as od
 from canfb.cia301.codes import NmtCommand
@@ -206,13 +205,10 @@ ALWAYS: tuple[Disturbance, ...] = (
     *(samples_lost, bus_off, nmt_pause, reset, node_goes, interface_goes, converter_fails),
     *(eds_by_block, table, save, reading, flood, short_frames, extra_syncs),
 )
-OF_A_PROCESS = (stall, long_stall, link_down, queue_full, wall_clock_set)
+OF_STAMPS: tuple[Disturbance, ...] = (clock_set, clock_behind)
+OF_A_PROCESS: tuple[Disturbance, ...] = (stall, long_stall, link_down, queue_full, wall_clock_set)
 
 
-def disturbances_of(setup: Setup) -> Mapping[str, Disturbance]:
-    chosen = [*ALWAYS]
-    if setup.stamps:
-        chosen += [clock_set, clock_behind]
-    if setup.hosted:
-        chosen += OF_A_PROCESS
-    return MappingProxyType({one.__name__: one for one in chosen})
+def disturbances_of(setup: Setup) -> dict[str, Disturbance]:
+    chosen = ALWAYS + OF_STAMPS * setup.stamps + OF_A_PROCESS * setup.hosted
+    return {one.__name__: one for one in chosen}

@@ -21,14 +21,12 @@ import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from email.parser import Parser
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = "canfb"
 # Made by the build itself.
 SDIST_EXTRA = {"PKG-INFO"}
-# In the wheel at another place than in the sources.
-SOURCES, EDS = PurePosixPath("src", PACKAGE), PurePosixPath("eds")
 LARGEST_BYTES = 1 << 20
 LINK = re.compile(r"!?\[[^\]]*\]\((?!https?:|#)([^)]*)\)")
 
@@ -69,21 +67,11 @@ def differences(name: str, found: Iterable[str], expected: Iterable[str]) -> Ite
     yield from (f"{name}: {member} does not belong there" for member in sorted(found - expected))
 
 
-def sdist_members(path: Path) -> dict[str, int]:
-    """Files of an sdist below its one folder, with their sizes in bytes."""
-    with tarfile.open(path) as archive:
-        return {one.name.partition("/")[2]: one.size for one in archive.getmembers() if one.isfile()}
-
-
 def wheel_of(members: Iterable[str]) -> set[str]:
     """What the wheel has of these sources, dist-info aside."""
-    found = set()
-    for path in map(PurePosixPath, members):
-        if path.is_relative_to(SOURCES):
-            found.add(str(PACKAGE / path.relative_to(SOURCES)))
-        elif path.is_relative_to(EDS):
-            found.add(str(PACKAGE / path))
-    return found
+    prefix = f"src/{PACKAGE}/"
+    paths = [f"{PACKAGE}/{one.removeprefix(prefix)}" for one in members if one.startswith((prefix, "eds/"))]
+    return set(paths)
 
 
 def links_to_nowhere(description: str) -> list[str]:
@@ -92,7 +80,8 @@ def links_to_nowhere(description: str) -> list[str]:
 
 
 def check_archives(sdist: Path, wheel: Path) -> Iterator[str]:
-    members = sdist_members(sdist)
+    with tarfile.open(sdist) as archive:  # below its one folder
+        members = {one.name.partition("/")[2]: one.size for one in archive.getmembers() if one.isfile()}
     tracked = sources()
     if tracked is not None:
         yield from differences("sdist", set(members) - SDIST_EXTRA, tracked)
