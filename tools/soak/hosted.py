@@ -25,35 +25,6 @@ WALL_S = 1.7e9
 LONGEST_TURN_S = 60.0  # of this computer, from one wait of the runner to the next
 
 
-class _Turns:
-    """Two threads of which one runs: that of the embedded bus, and that of the runner."""
-
-    def __init__(self, work: Callable[[], None]) -> None:
-        self._world, self._runner = threading.Semaphore(0), threading.Semaphore(0)
-        self._error: BaseException | None = None
-        self.thread = threading.Thread(target=self._run, args=(work,), daemon=True)
-
-    def go_on(self) -> None:
-        """A turn of the runner, until it waits again. What has ended it is raised."""
-        self._runner.release()
-        if not self._world.acquire(timeout=LONGEST_TURN_S):
-            raise TimeoutError("the runner does not come back to its bus")
-        if self._error is not None:
-            raise self._error
-
-    def give_back(self) -> None:
-        self._world.release()
-        self._runner.acquire()
-
-    def _run(self, work: Callable[[], None]) -> None:
-        self._runner.acquire()
-        try:
-            work()
-        except BaseException as error:
-            self._error = error
-        self._world.release()
-
-
 class Hosted:
     """A device for the embedded bus: another one, in its runner.
 
@@ -76,15 +47,17 @@ class Hosted:
             sleep=lambda seconds: self._park(self._now + seconds),
             wall=self._wall,
         )
-        self._turns = _Turns(self.runner.run)
+        self._world_runs, self._runner_runs = threading.Semaphore(0), threading.Semaphore(0)
+        self._ended_by: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, daemon=True)
 
     def close(self) -> None:
         self.runner.stop()
-        if self._turns.thread.is_alive():
-            self._turns.go_on()
+        if self._thread.is_alive():
+            self._go_on()
 
     def start(self, now: float) -> list[Frame]:
-        self._turns.thread.start()
+        self._thread.start()
         return self.tick(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
@@ -98,7 +71,7 @@ class Hosted:
         self._now = now
         if now < self.stalled_until_s:
             return []
-        self._turns.go_on()
+        self._go_on()
         return self.bus.taken()
 
     def down(self, now: float) -> list[Frame]:
@@ -131,7 +104,24 @@ class Hosted:
 
     def _park(self, until_s: float) -> None:
         self._wake_s = until_s
-        self._turns.give_back()
+        self._world_runs.release()
+        self._runner_runs.acquire()
+
+    def _go_on(self) -> None:
+        """A turn of the runner, until it waits again. What has ended it is raised."""
+        self._runner_runs.release()
+        if not self._world_runs.acquire(timeout=LONGEST_TURN_S):
+            raise TimeoutError("the runner does not come back to its bus")
+        if self._ended_by is not None:
+            raise self._ended_by
+
+    def _run(self) -> None:
+        self._runner_runs.acquire()
+        try:
+            self.runner.run()
+        except BaseException as error:
+            self._ended_by = error
+        self._world_runs.release()
 
 
 class Socket:

@@ -26,7 +26,7 @@ from collections import Counter
 from collections.abc import Iterator
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 SOURCE = Path("src").resolve()
 # Tests that take so much longer than without a change, or so much memory, have noticed it.
@@ -71,25 +71,26 @@ def changes(node: ast.AST) -> Iterator[ast.AST]:
 
 def changed(node: ast.AST, **fields: object) -> ast.AST:
     other = copy.copy(node)
-    for name, value in fields.items():
-        setattr(other, name, value)
+    vars(other).update(fields)
     return other
 
 
-Place = tuple[ast.AST, str, int | None, ast.AST, str]
+Place = tuple[Any, Any, ast.AST, str]
 
 
 def places(node: ast.AST, within: str = "") -> Iterator[Place]:
-    """Each place whose content may change: parent, field, position in it, content, and its function."""
+    """Each place whose content may change: what holds it, under which key, content, and its function."""
     for field, value in ast.iter_fields(node):
         if field in ("annotation", "returns", "decorator_list", "type_params"):
             continue
-        for place, child in enumerate(value) if isinstance(value, list) else [(None, value)]:
+        holder: Any = value if isinstance(value, list) else vars(node)
+        for key in range(len(value)) if isinstance(value, list) else [field]:
+            child = holder[key]
             if not isinstance(child, ast.AST) or (
                 isinstance(child, ast.Assign) and "__slots__" in short(child)
             ):
                 continue
-            yield node, field, place, child, within
+            yield holder, key, child, within
             inner = f"{within}.{child.name}".lstrip(".") if hasattr(child, "name") else within
             yield from places(child, inner)
 
@@ -97,10 +98,10 @@ def places(node: ast.AST, within: str = "") -> Iterator[Place]:
 def mutants(path: Path) -> list[Mutant]:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     found = []
-    for name, (parent, field, place, node, _), other in named_changes(path.stem, tree):
-        put(parent, field, place, other)
+    for name, (holder, key, node, _), other in named_changes(path.stem, tree):
+        holder[key] = other
         found.append(Mutant(path, getattr(node, "lineno", 0), name, copy.deepcopy(tree)))
-        put(parent, field, place, node)
+        holder[key] = node
     return sorted(found, key=lambda mutant: mutant.line)
 
 
@@ -113,13 +114,6 @@ def named_changes(stem: str, tree: ast.Module) -> Iterator[tuple[str, Place, ast
             what = f"{stem} {within}: {short(node)} -> {short(other)}"
             seen[what] += 1
             yield what if seen[what] == 1 else f"{what} ({seen[what]})", place, other
-
-
-def put(parent: ast.AST, field: str, place: int | None, node: ast.AST) -> None:
-    if place is None:
-        setattr(parent, field, node)
-    else:
-        getattr(parent, field)[place] = node
 
 
 def short(node: ast.AST) -> str:

@@ -33,12 +33,10 @@ MOST_PATHS = 3000
 
 def nodes_of(instants: Array) -> tuple[Array, npt.NDArray[np.int64]]:
     """Instants of all nodes, and which of them are those of the samples."""
-    nodes, places = [float(instants[0])], [0]
-    for before, after in zip(instants[:-1].tolist(), instants[1:].tolist(), strict=True):
-        parts = max(1, round(after - before)) if after - before > HOLE else 1
-        nodes += [before + (after - before) * n / parts for n in range(1, parts + 1)]
-        places.append(len(nodes) - 1)
-    return np.array(nodes), np.array(places)
+    gaps = np.diff(instants)
+    parts = np.where(gaps > HOLE, np.rint(gaps), 1.0).astype(np.int64)
+    places = np.concatenate(([0], np.cumsum(parts)))
+    return np.interp(np.arange(places[-1] + 1), places, instants), places
 
 
 def difference_rows(nodes: Array) -> Array:
@@ -91,11 +89,9 @@ def window(instants: Sequence[float], to: float, phase_error: float, bound: floa
 
     ``instants`` are those of the last two samples, increasing.
     """
-    at = np.asarray(instants)
-    weights = np.array(
-        [np.prod((to - np.delete(at, k)) / (one - np.delete(at, k))) for k, one in enumerate(at)]
-    )
-    reach = bound * float(np.prod(to - at)) / 2.0
+    first, second = instants
+    weights = np.array([(to - second) / (first - second), (to - first) / (second - first)])
+    reach = bound * (to - first) * (to - second) / 2.0
     return weights, reach + phase_error * (1.0 + float(np.abs(weights).sum()))
 
 
