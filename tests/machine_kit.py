@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from canfb import objects as od
-from canfb.commission.limit_choice import Choice, Observation, choose, observe
+from canfb.commission.limit_choice import Choice, choose, observe
+from canfb.commission.machine_figures import Observation
 from canfb.master.machine_watch import SpeedReading
 from canfb.master.samples import TrackSamples
 from canfb.master.session import SupervisionLimits
@@ -108,6 +109,6 @@ class SimulatedMachine:
         self, count: int, margin: float = 2.0, known: float = 0.0
     ) -> tuple[Observation, SupervisionLimits, dict[od.Multiplexer, Choice]]:
         observed = self.observed(count)
-        choices = choose(observed.machine, self.limits, margin, known)
+        choices = choose(observed, self.limits, margin, known)
         new = self.limits.changed({one.place: one.value for one in choices})
         return observed, new, {one.place: one for one in choices}

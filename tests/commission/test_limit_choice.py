@@ -77,7 +77,7 @@ def test_the_limits_are_near_the_truth_detect_glitches_and_hold_on_ten_times_mor
     noise = (
         math.sqrt(machine.encoder.noise_lsb**2 + 1.0 / 12.0) / machine.encoder.amplitude_counts / 2 / math.pi
     )
-    motion = observed.machine.motion
+    motion = observed.motion
     low = 0.75 if name in ("vibrating", "jitter") else 0.95
     high = 2.5 if name == "jitter" else 1.05
     assert low * true <= motion.acceleration <= high * true
@@ -167,7 +167,7 @@ def choice_of(machine: SimulatedMachine, place: od.Multiplexer, change: Changed)
     """What is proposed for a limit where the samples are changed like this."""
     readings, samples = machine.readings(COUNT), machine.samples(COUNT)
     observed = observe(change(samples), machine.used, machine.limits, readings)
-    return next(one for one in choose(observed.machine, machine.limits, 2.0) if one.place == place)
+    return next(one for one in choose(observed, machine.limits, 2.0) if one.place == place)
 
 
 def noise(seed: int) -> FloatArray:
@@ -204,7 +204,7 @@ def test_the_whole_cycles_per_sample_come_from_the_readings() -> None:
     machine.start_s = 1.7
     observed = machine.observed(3000)
     assert observed.start_speed == pytest.approx(2000 / 60 * N / RATE_HZ, abs=0.01)
-    assert observed.machine.motion.fastest == pytest.approx(2000 / 60 * N / RATE_HZ, abs=0.1)
+    assert observed.motion.fastest == pytest.approx(2000 / 60 * N / RATE_HZ, abs=0.1)
 
 
 def test_the_account_of_the_chain_is_that_of_the_stream() -> None:
@@ -242,7 +242,7 @@ def test_tracks_that_change_are_stated(counts: float, stated: float) -> None:
     machine = fresh("quiet")
     readings, samples = machine.readings(COUNT), machine.samples(COUNT)
     samples = replace(samples, sine=samples.sine + np.linspace(0.0, counts, COUNT))
-    found = observe(samples, machine.used, machine.limits, readings).machine.change_cycles
+    found = observe(samples, machine.used, machine.limits, readings).change_cycles
     assert found == pytest.approx(stated, rel=0.4)
 
 

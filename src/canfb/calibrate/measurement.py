@@ -42,6 +42,7 @@ from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL,
 
 # What a sample may be flagged with by its own counts, and its bit of the status word.
 FLAGS = {"residual": RESIDUAL, "amplitude": AMPLITUDE, "clipped": CLIPPED, "frozen": FROZEN, "lost": LOST}
+FEEDBACK = np.dtype([("status", np.int64), ("cycles", np.int64), ("phase", float), ("amplitude", float)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,23 +90,24 @@ def supervise(
     if samples.rate_hz:
         chain.sync_interval_s = 1.0 / samples.rate_hz
     chain.restart(0, speed_cycles)
-    count = len(samples)
-    cycles, phase = np.zeros(count, np.int64), np.full(count, math.nan)
-    amplitude, status = np.full(count, math.nan), np.zeros(count, np.int64)
+    missed = np.isnan(samples.sine) | np.isnan(samples.cosine)
     ticks = [] if samples.time_s is None else np.rint(samples.time_s / TICK_S).tolist()
-    stamps: list[int | None] = [int(one) % TICKS for one in ticks]
-    tracks = zip(samples.sine.tolist(), samples.cosine.tolist(), stamps or [None] * count, strict=True)
-    for k, (sine, cosine, stamp) in enumerate(tracks):
-        if math.isnan(sine) or math.isnan(cosine):
-            status[k] = chain.miss().status
-            continue
-        found = chain.step(Sample(sine, cosine, time_100ns=stamp))
-        status[k], amplitude[k] = found.status, found.amplitude
-        if found.status & VALID:
-            cycles[k], phase[k] = found.cycles, found.phase
-    seen = np.isfinite(phase)
-    origin = int(cycles[seen][0]) if seen.any() else 0
-    return SupervisedSamples((cycles - origin) + phase, amplitude, status, _elapsed(samples))
+    stamps = [int(one) % TICKS for one in ticks] or [None] * len(samples)
+    rows = zip(missed.tolist(), samples.sine.tolist(), samples.cosine.tolist(), stamps, strict=True)
+    steps = (
+        chain.miss() if out else chain.step(Sample(sine, cosine, time_100ns=stamp))
+        for out, sine, cosine, stamp in rows
+    )
+    each = ((one.status, one.cycles, one.phase, one.amplitude) for one in steps)
+    found = np.fromiter(each, FEEDBACK, len(samples))
+    seen = (found["status"] & VALID > 0) & ~missed
+    cycles = found["cycles"] - (found["cycles"][seen][0] if seen.any() else 0)
+    return SupervisedSamples(
+        np.where(seen, cycles + found["phase"], math.nan),
+        np.where(missed, math.nan, found["amplitude"]),
+        found["status"],
+        _elapsed(samples),
+    )
 
 
 def _elapsed(samples: TrackSamples) -> FloatArray:

@@ -190,14 +190,10 @@ class _System:
         self.normal += np.block([[s, mixed], [mixed, c]])
 
     def _weights(self, speed: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray]:
-        across, along = self.noise.across, self.noise.along
-        if along > across:
-            # Noise of the converter is constant in counts, noise of the motion in cycles.
-            mean = float(np.sqrt(np.mean(speed**2)))
-            variance = across**2 + (along**2 - across**2) * (speed / mean) ** 2
-        else:
-            variance = np.full_like(speed, along**2)
-        return used / variance, used / across**2
+        across, along = self.noise.across**2, self.noise.along**2
+        # Noise of the converter is constant in counts, noise of the motion in cycles.
+        motion = max(0.0, along - across) * speed**2 / np.mean(speed**2)
+        return used / (min(along, across) + motion), used / across
 
     def _held(self, matrix: FloatArray) -> FloatArray:
         # The data does not determine phase 0: a shift of it moves the coefficients by their slope.

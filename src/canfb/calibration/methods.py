@@ -166,8 +166,6 @@ def _systematic(curve: ErrorCurve, position: FloatArray, noise: float) -> float:
     """Rms of the mean deviation over the phase, less what noise leaves of it: tracks that do not fit."""
     count = samples_in_bins(position)
     seen = count > 0
-    if not seen.any():
-        return 0.0
     excess = float(np.mean(curve.after[seen] ** 2 - noise**2 / count[seen]))
     return float(np.sqrt(max(0.0, excess)))
 
@@ -412,15 +410,11 @@ def _whole(
 
 
 def _interpolate(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
-    value = np.zeros_like(at)
-    points = range(x.shape[-1])
-    for one in points:
-        part = y[..., one]
-        for other in points:
-            if other != one:
-                part = part * (at - x[..., other]) / (x[..., one] - x[..., other])
-        value += part
-    return value
+    """The polynomial through the points of each row, by Neville's algorithm."""
+    for step in range(1, x.shape[-1]):
+        part = (at[:, None] - x[:, :-step]) / (x[:, step:] - x[:, :-step])
+        y = y[..., :-1] + part * np.diff(y)
+    return y[:, 0]
 
 
 def _finish(

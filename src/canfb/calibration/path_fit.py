@@ -187,10 +187,10 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
     ratio = np.outer(per_hz, f)
     angle = np.unwrap([one.angle_rad for one in found]) - np.arctan(ratio[0]) + np.arctan(ratio[1])
     weight = 1.0 / np.hypot(noise, ANGLE_REPEATS_RAD)
-    columns = np.column_stack([np.ones(len(f)), 2.0 * math.pi * f])
-    (at_rest, delay_s), covariance = _line(columns, angle, weight)
-    delay_sigma_s = math.sqrt(covariance[1, 1])
-    left_angle = angle - at_rest - 2.0 * math.pi * f * delay_s
+    turns = 2.0 * math.pi * f
+    (delay_s, at_rest), covariance = np.polyfit(turns, angle, 1, w=weight, cov="unscaled")
+    delay_sigma_s = math.sqrt(covariance[0, 0])
+    left_angle = angle - at_rest - turns * delay_s
     gain = gain - 0.5 * np.log1p(ratio[0] ** 2) + 0.5 * np.log1p(ratio[1] ** 2)
     off = ERROR_OF_ANGLE * np.hypot(left_angle, gain - np.average(gain, weights=weight))
     worst = int(np.argmax(off))
@@ -200,11 +200,11 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
             "rms are left. Is each speed right, within half a cycle per sample?",
             Reason.SPEED,
         )
-    left = float(abs(response(both.top_hz, 1.0 / per_hz[0] if per_hz[0] else 0.0)))
+    left = 1.0 / math.hypot(1.0, both.top_hz * per_hz[0])
     low_pass = replace(both, per_hz=float(per_hz[0]), left=left)
     corner, cosine = (1.0 / float(one) if one else 0.0 for one in per_hz)
     return PathFit(
-        delay_s if abs(delay_s) > DETECTED_SIGMAS * delay_sigma_s else 0.0,
+        float(delay_s) if abs(delay_s) > DETECTED_SIGMAS * delay_sigma_s else 0.0,
         delay_sigma_s,
         Corners(corner, 0.0 if cosine == corner else cosine),
         low_pass,
@@ -259,15 +259,13 @@ def _poles(
     """
     inverse = (amplitude.max() / amplitude) ** (2.0 / count)
     weight = count / (2.0 * sigma * inverse)
-    columns = np.column_stack([np.ones(len(square)), square])
-    (at_rest, rise), covariance = _line(columns, inverse, weight)
+    (rise, at_rest), covariance = np.polyfit(square, inverse, 1, w=weight, cov="unscaled")
     fitted = np.maximum(at_rest + rise * square, 1e-9)
     off = (inverse / fitted) ** (count / 2.0) - 1.0
-    spread = 1.0
-    if len(square) > 2:
-        spread = max(1.0, math.sqrt(float(np.sum((off / sigma) ** 2)) / (len(square) - 2)))
-    at_rest = max(at_rest, 1e-9)
-    return rise / at_rest, spread * math.sqrt(covariance[1, 1]) / at_rest, float(np.abs(off).max())
+    # A line through two speeds leaves nothing.
+    spread = max(1.0, math.sqrt(float(np.sum((off / sigma) ** 2)) / max(1, len(square) - 2)))
+    at_rest = max(float(at_rest), 1e-9)
+    return float(rise) / at_rest, spread * math.sqrt(covariance[0, 0]) / at_rest, float(np.abs(off).max())
 
 
 def _corners(f: FloatArray, gain: FloatArray, noise: FloatArray, per_hz: float) -> tuple[FloatArray, float]:
@@ -283,21 +281,10 @@ def _corners(f: FloatArray, gain: FloatArray, noise: FloatArray, per_hz: float) 
         model = 0.5 * np.log1p(ratio[0] ** 2) - 0.5 * np.log1p(ratio[1] ** 2)
         # of half the difference: the cosine's is larger by it, that of the sine smaller
         slope = -np.sum(ratio * f / (1.0 + ratio**2), axis=0)
-        columns = np.column_stack([np.ones(len(f)), slope])
-        (_, half), covariance = _line(columns, gain - model, weight)
-        sigma = 2.0 * math.sqrt(covariance[1, 1])
+        (half, _), covariance = np.polyfit(slope, gain - model, 1, w=weight, cov="unscaled")
+        sigma = 2.0 * math.sqrt(covariance[0, 0])
         half = max(-0.4 * per_hz, min(half, 0.4 * per_hz))
         pair = np.clip(pair + np.array([-half, half]), 0.5 * per_hz, 1.5 * per_hz)
         if abs(half) < 1e-9 * per_hz:
             break
     return pair, sigma
-
-
-def _line(
-    columns: FloatArray, values: FloatArray, weight: FloatArray
-) -> tuple[tuple[float, float], FloatArray]:
-    weighted = columns * weight[:, None]
-    scale = np.linalg.norm(weighted, axis=0)
-    inverse = np.linalg.pinv(weighted / scale)
-    first, second = ((inverse @ (values * weight)) / scale).tolist()
-    return (first, second), np.asarray(inverse @ inverse.T / np.outer(scale, scale), np.float64)

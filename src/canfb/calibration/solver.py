@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from canfb.calibration.ellipse import angle_cycles
 from canfb.calibration.joint import (
     JointFit,
     Waveform,
@@ -157,8 +158,7 @@ class Solver:
         return Start(self._positions(phase_at_raw(curve, angle) % 1.0 % 1.0), waveform)
 
     def _curve(self, waveform: Waveform) -> FloatArray | None:
-        s, c = self.ellipse.apply(*waveform.tracks(grid_phases()))
-        curve = np.unwrap(np.arctan2(s, c) / (2.0 * np.pi), period=1.0)
+        curve = np.unwrap(angle_cycles(self.ellipse, *waveform.tracks(grid_phases())), period=1.0)
         rises = abs(curve[-1] - curve[0] - 1.0) < 1e-6 and np.diff(curve).min() > 0.0
         return curve if rises else None
 

@@ -15,8 +15,8 @@ from canfb.calibrate.calibration_run import Steps
 from canfb.calibrate.calibration_summary import delay_words
 from canfb.calibrate.choices import refuse_beyond
 from canfb.calibrate.measurement import supervise
-from canfb.commission.limit_choice import LEAST_SAMPLES, Choice, Observation, choose, observe, value_words
-from canfb.commission.machine_figures import MachineFigures, smooth_acceleration
+from canfb.commission.limit_choice import LEAST_SAMPLES, Choice, choose, observe, value_words
+from canfb.commission.machine_figures import Observation, smooth_acceleration
 from canfb.errors import CanfbError
 from canfb.files import write_whole
 from canfb.master.access import CommissioningError, Master, NodeAccess
@@ -89,24 +89,20 @@ class Commissioned:
     where: Provenance
 
     @property
-    def machine(self) -> MachineFigures:
-        return self.observed.machine
-
-    @property
     def largest_acceleration(self) -> float:
         """Of the machine, cycles per interval squared: 2010:02, or what was seen while that is not known."""
-        return self.new.bounds(self.machine.interval_s).acceleration or self.machine.motion.acceleration
+        return self.new.bounds(self.observed.interval_s).acceleration or self.observed.motion.acceleration
 
     def deviation(self, limits: SupervisionLimits) -> float:
         """L + a of docs/supervision.md with these limits; cycles."""
-        return limits.bounds(self.machine.interval_s).residual_limit + self.largest_acceleration
+        return limits.bounds(self.observed.interval_s).residual_limit + self.largest_acceleration
 
     def without_harm(self, limits: SupervisionLimits) -> int:
         return samples_without_harm(self.deviation(limits))
 
 
 def machine_facts(done: Commissioned) -> list[Row]:
-    machine, n = done.machine, done.new.cycles_per_revolution
+    machine, n = done.observed, done.new.cycles_per_revolution
     motion, tracks, samples = machine.motion, machine.tracks, done.observed.samples
     slowest, fastest = (machine.rad(speed, 1, n) * RPM for speed in (motion.slowest, motion.fastest))
     acceleration, jerk = machine.rad(motion.acceleration, 2, n), machine.rad(motion.jerk, 3, n)
@@ -190,7 +186,7 @@ def machine_facts(done: Commissioned) -> list[Row]:
 
 
 def _low_pass_words(done: Commissioned) -> str:
-    low_pass = done.machine.low_pass
+    low_pass = done.observed.low_pass
     if low_pass is None:
         return "not known: too few speeds were seen"
     words = delay_words(low_pass, done.where)
@@ -208,7 +204,7 @@ def notes(done: Commissioned) -> list[str]:
     missed = done.observed.samples.missed
     return those(
         (
-            done.machine.motion.turned < done.new.cycles_per_revolution,
+            done.observed.motion.turned < done.new.cycles_per_revolution,
             "the machine moved less than one revolution: the amplitude elsewhere on the scale is not known",
         ),
         (missed, f"{missed} samples did not come: each is flagged, whatever the limits"),
@@ -217,7 +213,7 @@ def notes(done: Commissioned) -> list[str]:
 
 def limit_rows(done: Commissioned) -> list[Row]:
     """Object and name; before, proposed, why."""
-    interval_s, n = done.machine.interval_s, done.new.cycles_per_revolution
+    interval_s, n = done.observed.interval_s, done.new.cycles_per_revolution
     return [
         Row(
             f"{od.place_text(one.place)} {KINDS[one.place].name}",
@@ -248,7 +244,7 @@ def detection_words(done: Commissioned) -> str:
 
 
 def kept_words(done: Commissioned) -> str:
-    interval_s, motion = done.machine.interval_s, done.largest_acceleration
+    interval_s, motion = done.observed.interval_s, done.largest_acceleration
     before, new = (one.chain_limits(interval_s).kept_samples(motion) for one in (done.before, done.new))
     return (
         f"After up to {new} missed or flagged samples in a row the position is certain, {before} with the "
@@ -268,7 +264,7 @@ def outcome(done: Commissioned) -> str:
 
 
 def findings(done: Commissioned) -> Findings:
-    interval_s, motion = done.machine.interval_s, done.largest_acceleration
+    interval_s, motion = done.observed.interval_s, done.largest_acceleration
     figures = Row(
         margin=done.wishes.margin,
         notes=notes(done),
@@ -312,7 +308,7 @@ def write_page(folder: Path, done: Commissioned) -> Path:
 
 
 def _pictures(done: Commissioned) -> list[str]:
-    machine, interval_s = done.machine, done.machine.interval_s
+    machine, interval_s = done.observed, done.observed.interval_s
     old, new = (limits.bounds(interval_s).residual_limit for limits in (done.before, done.new))
     low, high = (
         done.new.values[place] for place in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
@@ -427,7 +423,7 @@ def commission(
     usual, usual_s = counted(counters, read_counters(node)), master.now() - began_s
     steps.step(f"calculating from {len(samples)} samples")
     observed = observe(samples, session.active, limits, readings)
-    choices = choose(observed.machine, limits, wishes.margin, wishes.acceleration)
+    choices = choose(observed, limits, wishes.margin, wishes.acceleration)
     new = limits.changed({one.place: one.value for one in choices})
     _prove(observed, new)
     changes = [one for one in choices if one.changes]
@@ -482,7 +478,7 @@ def _collect(
 
 def _prove(observed: Observation, new: SupervisionLimits) -> None:
     again = supervise(
-        observed.samples, observed.used, new.chain_limits(observed.machine.interval_s), observed.start_speed
+        observed.samples, observed.used, new.chain_limits(observed.interval_s), observed.start_speed
     )
     before = observed.followed.flagged
     more = {name: count for name, count in again.flagged.items() if count > before.get(name, 0)}

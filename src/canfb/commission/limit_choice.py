@@ -18,8 +18,8 @@ from canfb.calibration.path_fit import LowPass
 from canfb.calibration.recording import positions
 from canfb.calibration.result import MOST_CHANGE_CYCLES, about_mean, changed, robust_rms
 from canfb.commission.machine_figures import (
-    MachineFigures,
     MotionFigures,
+    Observation,
     TrackFigures,
     change_in_time,
     low_pass_of,
@@ -78,7 +78,7 @@ class Choice:
 
 
 def choose(
-    machine: MachineFigures, limits: SupervisionLimits, margin: float, known_rad_s2: float = 0.0
+    machine: Observation, limits: SupervisionLimits, margin: float, known_rad_s2: float = 0.0
 ) -> list[Choice]:
     """All limits in the order of :data:`LIMITS`.
 
@@ -141,7 +141,7 @@ def _amplitude(tracks: TrackFigures, limits: SupervisionLimits, margin: float) -
 
 
 def _motion(
-    machine: MachineFigures, limits: SupervisionLimits, margin: float, known_rad_s2: float
+    machine: Observation, limits: SupervisionLimits, margin: float, known_rad_s2: float
 ) -> tuple[Choice, Choice]:
     motion, interval_s, n = machine.motion, machine.interval_s, limits.cycles_per_revolution
     places = (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION)
@@ -173,7 +173,7 @@ def _motion(
     )
 
 
-def _phase_error(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> Choice:
+def _phase_error(machine: Observation, limits: SupervisionLimits, margin: float) -> Choice:
     place, motion = od.SUPERVISION_PHASE_ERROR, machine.motion
     if motion.turned < LEAST_TURNED_CYCLES:
         why = f"the machine moved by {motion.turned:.2g} cycles only, so the phases did not show their errors"
@@ -215,7 +215,7 @@ def _residual_words(motion: MotionFigures, needed: float, margin: float, known: 
     return f"{words}, times {margin:g}"
 
 
-def _frozen(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> Choice:
+def _frozen(machine: Observation, limits: SupervisionLimits, margin: float) -> Choice:
     tracks = machine.tracks
     repeats = repeats_of_frozen_input(
         tracks.noise_counts, 1.0 / machine.interval_s, margin, tracks.longest_repeat
@@ -229,7 +229,7 @@ def _frozen(machine: MachineFigures, limits: SupervisionLimits, margin: float) -
     return _choice(limits, od.SUPERVISION_FROZEN, repeats, why)
 
 
-def _coarse(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> Choice:
+def _coarse(machine: Observation, limits: SupervisionLimits, margin: float) -> Choice:
     place = od.SUPERVISION_COARSE_LIMIT
     if machine.coarse_spread is None:
         return _choice(limits, place, None, machine.coarse_note or "no coarse track is mapped")
@@ -240,7 +240,7 @@ def _coarse(machine: MachineFigures, limits: SupervisionLimits, margin: float) -
     return _choice(limits, place, units, why)
 
 
-def _periods(machine: MachineFigures, limits: SupervisionLimits) -> Choice:
+def _periods(machine: Observation, limits: SupervisionLimits) -> Choice:
     place, pause = od.SUPERVISION_PERIODS, machine.longest_pause
     if pause is None:
         return _choice(limits, place, None, "the times of the SYNCs are not known")
@@ -251,7 +251,7 @@ def _periods(machine: MachineFigures, limits: SupervisionLimits) -> Choice:
     return _choice(limits, place, periods, f"at most {pause:.1f} periods without SYNC or sample were seen")
 
 
-def _jitter(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> list[Choice]:
+def _jitter(machine: Observation, limits: SupervisionLimits, margin: float) -> list[Choice]:
     place, off_s = JITTER.place, machine.off_grid_s
     if place not in limits.values:
         return []
@@ -279,21 +279,6 @@ AGREES_CYCLES = 0.3
 WIDEST_AMPLITUDE = 65535
 GRID_SAMPLES = 256  # as docs/time.md
 MOST_DIFFERENCE = 0.25  # of the coarse track, revolutions
-
-
-@dataclass(frozen=True, eq=False)
-class Observation:
-    """Samples of a machine, followed from their start on, and what they show.
-
-    start_speed   at the first sample, cycles per interval
-    followed      the chain's account, with the limits that the module has, and the corner that is chosen
-    """
-
-    samples: TrackSamples
-    used: Correction
-    start_speed: float
-    followed: SupervisedSamples
-    machine: MachineFigures
 
 
 def observe(
@@ -338,7 +323,11 @@ def observe(
     gain = math.sqrt(abs(used.conditioning.sine_gain * used.conditioning.cosine_gain))
     spread, note = _coarse_spread(samples, followed, limits)
     jitter_s, off_grid_s = _grid(samples, interval_s)
-    machine = MachineFigures(
+    return Observation(
+        samples,
+        used,
+        start_speed,
+        followed,
         motion=motion,
         tracks=track_figures(samples, followed, gain, motion.noise),
         interval_s=interval_s,
@@ -347,10 +336,9 @@ def observe(
         longest_pause=_longest_pause(samples, interval_s, limits.motion.samples_per_sync),
         jitter_s=jitter_s,
         off_grid_s=off_grid_s,
-        change_cycles=change,
         low_pass=low_pass,
+        change_cycles=change,
     )
-    return Observation(samples, used, start_speed, followed, machine)
 
 
 def _follow(

@@ -26,6 +26,7 @@ from canfb.calibration.result import (
     runs,
 )
 from canfb.master.samples import TrackSamples
+from canfb.signal.correction import Correction
 from canfb.signal.front_end import Corners
 from canfb.signal.phase import FloatArray
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
@@ -316,9 +317,12 @@ def _over_phase(amplitude: FloatArray, phase: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class MachineFigures:
-    """What was seen of a machine; None: not known.
+class Observation:
+    """Samples of a machine, followed from their start on, and what was seen; None: not known.
 
+    start_speed          at the first sample, cycles per interval
+    followed             the chain's account, with the limits that the module has, and the corner that is
+                         chosen
     interval_s           sampling interval, seconds
     coarse_spread        range of the difference of the coarse track, revolutions; coarse_note: why it is not
                          known
@@ -329,16 +333,20 @@ class MachineFigures:
     change_cycles        rms by which the errors of parts of the time differ; 0.0: no more than noise
     """
 
+    samples: TrackSamples
+    used: Correction
+    start_speed: float
+    followed: SupervisedSamples
     motion: MotionFigures
     tracks: TrackFigures
     interval_s: float
-    coarse_spread: float | None = None
-    coarse_note: str = ""
-    longest_pause: float | None = None
-    jitter_s: float | None = None
-    low_pass: LowPass | None = None
-    off_grid_s: float | None = None
-    change_cycles: float = 0.0
+    coarse_spread: float | None
+    coarse_note: str
+    longest_pause: float | None
+    jitter_s: float | None
+    off_grid_s: float | None
+    low_pass: LowPass | None
+    change_cycles: float
 
     def rad(self, cycles: float, power: int, cycles_per_revolution: int) -> float:
         """Cycles per interval to this power, as rad per second to this power."""
