@@ -47,7 +47,7 @@ def done(measured: Measurement, fresh: TrackSamples, settings: Settings) -> Inst
     found = best_deviation(
         fresh.recording(12), measured.found, measured.before, block_of(measured.calibration)
     )
-    return Installation(found, True, "1010:04")
+    return Installation(found, "1010:04")
 
 
 @pytest.fixture(scope="module")

@@ -58,7 +58,6 @@ def test_the_new_set_is_in_force_proven_and_saved(
     done = installed(bench)
     assert read_active(bench.access) == measured.found
     assert bench.module.chain.correction.table == measured.calibration.table
-    assert done.active
     assert done.saved_as == "1010:04"
     assert done.fresh is not None
     assert 0.5 < done.fresh.rms / measured.calibration.residual_rms < 1.3

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -57,8 +59,9 @@ from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.limits import RPM
 from canfb.signal.supervision import SampleLimits
 
-LEAST_FRESH = 1500
 Made = TypeVar("Made")
+Installed = tuple[Measurement, Installation]
+Put = Callable[[Measurement], Installed]
 
 
 class Steps(Protocol):
@@ -105,11 +108,8 @@ class CalibrationRun:
         before = read_table(choices.table) if choices.table else NO_CORRECTION
         if choices.speeds is not None:
             each = choices.samples_of_folder(path)
-            return self._report(self._measured_speeds(each, settings, InForce(before)), Installation())
-        samples = choices.samples_of_file(path)
-        if choices.check:
-            return self._drift(samples, lambda: check(samples, before, settings, self._steps.part))
-        return self._report(self._measured(samples, before, settings), Installation())
+            return self._report(self._measured_speeds(each, settings, InForce(before)))
+        return self._compared(choices.samples_of_file(path), before, settings)
 
     def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
         choices = self._choices
@@ -123,11 +123,13 @@ class CalibrationRun:
         kind, recorder, rate_hz = choices.samples_from, choices.recorder, choices.sample_rate
         source = session.source(kind, recorder, rate_hz)
 
-        def prove(found: Measurement, seconds: float, least: int) -> Deviation:
-            return verify(session.together(source(seconds, least, self._steps.part)), found, settings)
+        def prove(found: Measurement) -> Deviation:
+            fresh = source(choices.verify_s, choices.least_fresh, self._steps.part)
+            return verify(session.together(fresh), found, settings)
 
+        put = partial(self._install, session, guard, prove)
         if choices.samples_from == MODULE:
-            return self._by_module(session, prove, settings, guard, before)
+            return self._by_module(session, put, settings, before)
         self._steps.step(f"collecting {choices.collecting}")
         watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
         watched = session.source(kind, recorder, rate_hz, watch)
@@ -135,13 +137,7 @@ class CalibrationRun:
         self._look(session, before)
         if watch.found is not None:
             self._judged(samples, watch.raise_found)
-        if choices.check:
-            active = session.active
-            return self._drift(samples, lambda: check(samples, active, settings, self._steps.part))
-        measured, done = self._measured(samples, session.active, settings), Installation()
-        if not choices.dry_run:
-            measured, done = self._install(session, measured, prove, guard)
-        return self._report(measured, done)
+        return self._compared(samples, session.active, settings, put)
 
     def _begin(self, master: Master, module: int, interface: int | None) -> Session:
         self._steps.step("reading the active table")
@@ -163,9 +159,8 @@ class CalibrationRun:
     def _by_module(
         self,
         session: Session,
-        prove: Callable[[Measurement, float, int], Deviation],
+        put: Callable[..., Installed],
         settings: Settings,
-        guard: Guard,
         before: Look | None,
     ) -> Result:
         self._steps.step("the module measures")
@@ -175,21 +170,22 @@ class CalibrationRun:
             return module_drift_result(drift, session.active, self._where)
         samples = session.together(let_measure(session.module, session.layout(), self._steps.part))
         self._look(session, before)
-        accepted = False
+        with contextlib.ExitStack() as unless_accepted:
+            unless_accepted.callback(discard, session.module)
 
-        def put() -> Measurement:
-            return accept(session.module, ours, settings)
+            def accepted(measured: Measurement) -> Installed:
+                installed = put(measured, lambda found: accept(session.module, found, settings))
+                unless_accepted.pop_all()
+                return installed
 
-        try:
-            ours = measured = self._measured(samples, session.active, settings)
-            done = Installation()
-            if not self._choices.dry_run:
-                measured, done = self._install(session, ours, prove, guard, put)
-            accepted = done.active
-        finally:
-            if not accepted:
-                discard(session.module)
-        return self._report(measured, done)
+            return self._report(self._measured(samples, session.active, settings), accepted)
+
+    def _compared(
+        self, samples: TrackSamples, before: Correction, settings: Settings, put: Put | None = None
+    ) -> Result:
+        if self._choices.check:
+            return self._drift(samples, lambda: check(samples, before, settings, self._steps.part))
+        return self._report(self._measured(samples, before, settings), put)
 
     def _measured(self, samples: TrackSamples, before: Correction, settings: Settings) -> Measurement:
         return self._judged(samples, lambda: measure(samples, settings, before, self._steps.part))
@@ -197,20 +193,19 @@ class CalibrationRun:
     def _install(
         self,
         session: Session,
-        measured: Measurement,
-        prove: Callable[[Measurement, float, int], Deviation],
         guard: Guard,
-        put: Callable[[], Measurement] | None = None,
-    ) -> tuple[Measurement, Installation]:
-        choices = self._choices
-        least = min(choices.least_samples, LEAST_FRESH)
+        prove: Callable[[Measurement], Deviation],
+        measured: Measurement,
+        put: Callable[[Measurement], Measurement] | None = None,
+    ) -> Installed:
+        check_amplitude(measured, session.limits)
         return install(
             session.module,
             measured,
-            lambda found: prove(found, choices.verify_s, least),
+            prove,
             guard,
             put=put,
-            keep=choices.save,
+            keep=self._choices.save,
             step=self._steps.step,
         )
 
@@ -250,18 +245,14 @@ class CalibrationRun:
             steps.step(f"at {rpm:g} rpm: collecting {choices.collecting}")
             samples.append(self._collect(session, choices.collect_s, choices.least_samples))
         self._look(session, look)
-        measured, done = self._measured_speeds(samples, settings, before), Installation()
-        if not choices.dry_run:
-            check_amplitude(measured, session.limits)
-            measured, done = self._install(
-                session,
-                measured,
-                lambda found, seconds, least: verify_at_speed(
-                    self._collect(session, seconds, least), found, settings
-                ),
-                guard,
-            )
-        return self._report(measured, done)
+
+        def prove(found: Measurement) -> Deviation:
+            fresh = self._collect(session, choices.verify_s, choices.least_fresh)
+            return verify_at_speed(fresh, found, settings)
+
+        return self._report(
+            self._measured_speeds(samples, settings, before), partial(self._install, session, guard, prove)
+        )
 
     def _measured_speeds(
         self, samples: Sequence[SpeedSamples], settings: Settings, before: InForce
@@ -294,7 +285,11 @@ class CalibrationRun:
             keep_samples(self._choices.out, samples)
         return drift_result(found, self._where)
 
-    def _report(self, measured: Measurement, done: Installation) -> Result:
+    def _report(self, measured: Measurement, put: Put | None = None) -> Result:
+        """Put in force first, unless there is no module or it is a dry run."""
+        done = Installation()
+        if put is not None and not self._choices.dry_run:
+            measured, done = put(measured)
         out = self._choices.out
         paths = write(out, measured, done, self._where, self._limits) if out else []
         return findings(measured, done, self._where).result(paths)

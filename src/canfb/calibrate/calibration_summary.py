@@ -300,7 +300,7 @@ def bound_words(calibration: Calibration) -> str:
 def outcome(measured: Measurement, done: Installation, where: Provenance) -> str:
     if where.module is None:
         return "measured from a file: nothing was written to a module"
-    if not done.active:
+    if done.fresh is None:
         return "dry run: nothing was written to the module"
     saved = f"saved ({done.saved_as})" if done.saved_as else done.save_note
     return f"table {measured.calibration.table.crc32:08X}h is active and verified on fresh samples; {saved}"
@@ -336,7 +336,7 @@ def findings(measured: Measurement, done: Installation, where: Provenance) -> Fi
         accepted=calibration.accepted,
         reason=calibration.reason.value,
         verdict=calibration.verdict,
-        active=done.active,
+        active=done.fresh is not None,
         saved=done.saved_as is not None,
         **where_words(where),
     )

@@ -23,7 +23,7 @@ PDO, RECORDING, MODULE = "pdo", "recording", "module"
 DEFAULT_MODULE = 0x20
 MOST_RPM = 1e6
 RECORDED = "recorded"  # speeds: those that the files of samples have
-LEAST_SAMPLES = 8000
+LEAST_SAMPLES, LEAST_FRESH = 8000, 1500
 SECONDS_AT_SPEED = 10.0
 NEAREST = 1.05  # times: between speeds, so that the machine turns at one of them
 RANGES = (
@@ -94,6 +94,10 @@ class CalibrateOptions:
     @property
     def verify_s(self) -> float:
         return self.verify if self.verify is not None else (1.0 if self._is_fast else 4.0)
+
+    @property
+    def least_fresh(self) -> int:
+        return min(self.least_samples, LEAST_FRESH)
 
     @property
     def speeds_rpm(self) -> tuple[float, ...]:

@@ -9,6 +9,7 @@ several speeds: what the module is to compute with, the analog path with it.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -92,8 +93,8 @@ def supervise(
     chain.restart(0, speed_cycles)
     missed = np.isnan(samples.sine) | np.isnan(samples.cosine)
     ticks = [] if samples.time_s is None else np.rint(samples.time_s / TICK_S).tolist()
-    stamps = [int(one) % TICKS for one in ticks] or [None] * len(samples)
-    rows = zip(missed.tolist(), samples.sine.tolist(), samples.cosine.tolist(), stamps, strict=True)
+    stamps = [int(one) % TICKS for one in ticks] or itertools.repeat(None)
+    rows = zip(missed.tolist(), samples.sine.tolist(), samples.cosine.tolist(), stamps, strict=False)
     steps = (
         chain.miss() if out else chain.step(Sample(sine, cosine, time_100ns=stamp))
         for out, sine, cosine, stamp in rows

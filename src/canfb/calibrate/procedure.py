@@ -41,7 +41,6 @@ class Installation:
     """
 
     fresh: Deviation | None = None
-    active: bool = False
     saved_as: str | None = None
     save_note: str = ""
     phase_error_cycles: float | None = None
@@ -53,7 +52,7 @@ def install(
     prove: Callable[[Measurement], Deviation],
     guard: Guard,
     *,
-    put: Callable[[], Measurement] | None = None,
+    put: Callable[[Measurement], Measurement] | None = None,
     keep: bool = True,
     step: Callable[[str], None] = lambda text: None,
 ) -> tuple[Measurement, Installation]:
@@ -79,8 +78,7 @@ def install(
         if put is None:
             put_in_force(module, measured.found)
         else:
-            measured = put()
-        done.active = True
+            measured = put(measured)
         step("verifying on fresh samples")
         done.fresh = prove(measured)
         declared = module.read_known(od.SUPERVISION_PHASE_ERROR)

@@ -61,6 +61,8 @@ LEAST_TURNED_CYCLES = 8.0  # with fewer, the same few places of the cycle can co
 LEAST_COARSE_LIMIT = 1.0 / 256.0
 MOST_COARSE_LIMIT = 0.25
 USUAL_PERIODS, MOST_PERIODS = 2, 10
+NO_TIMES = "the times of the SYNCs are not known"
+Chosen = tuple[float | None, str]  # a value, None: the one of before; and why
 
 
 @dataclass(frozen=True)
@@ -85,17 +87,26 @@ def choose(
     ``margin`` is the factor beyond what was measured, above 1. ``known_rad_s2`` is an acceleration that the
     machine is known to do, rad/s^2, 0.0 if there is none.
     """
-    corner = corner_choice(machine.low_pass, limits)
-    error = _phase_error(machine, limits, margin)
+    before, corner = limits.values, corner_choice(machine.low_pass, limits)
+    error, why = _phase_error(machine.motion, margin)
+    error = before[od.SUPERVISION_PHASE_ERROR] if error is None else error
+    most_jitter_s = UNDECLARED * machine.interval_s * limits.motion.samples_per_sync
+    chosen = {
+        **_amplitude(machine.tracks, margin),
+        **_motion(machine, limits.cycles_per_revolution, error / LIMIT_UNITS, margin, known_rad_s2),
+        od.SUPERVISION_PHASE_ERROR: (error, why),
+        od.SUPERVISION_FROZEN: _frozen(machine, margin),
+        od.SUPERVISION_COARSE_LIMIT: _coarse(machine, margin),
+        od.SUPERVISION_PERIODS: _periods(machine.longest_pause),
+        JITTER.place: _jitter(machine.off_grid_s, most_jitter_s, margin),
+    }
     return [
         *([] if corner is None else [corner]),
-        *_amplitude(machine.tracks, limits, margin),
-        *_motion(machine, limits.changed({error.place: error.value}), margin, known_rad_s2),
-        error,
-        _frozen(machine, limits, margin),
-        _coarse(machine, limits, margin),
-        _periods(machine, limits),
-        *_jitter(machine, limits, margin),
+        *(
+            Choice(place, before[place], before[place] if value is None else value, why)
+            for place, (value, why) in chosen.items()
+            if place in before
+        ),
     ]
 
 
@@ -118,34 +129,24 @@ def corner_choice(low_pass: LowPass | None, limits: SupervisionLimits) -> Choice
     return Choice(CORNER.place, before, as_real32(float(f"{low_pass.corner_hz:.4g}")), measured)
 
 
-def _choice(limits: SupervisionLimits, place: od.Multiplexer, value: float | None, why: str) -> Choice:
-    before = limits.values[place]
-    return Choice(place, before, before if value is None else value, why)
-
-
-def _amplitude(tracks: TrackFigures, limits: SupervisionLimits, margin: float) -> list[Choice]:
-    places = (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
-    measured = f"{tracks.least:.0f} to {tracks.most:.0f} counts seen, mean {tracks.mean:.0f}"
-    wide = margin * tracks.spread
-    if wide > MOST_AMPLITUDE_SPREAD:
+def _amplitude(tracks: TrackFigures, margin: float) -> dict[od.Multiplexer, Chosen]:
+    mean, spread, usual = tracks.mean, tracks.spread, LEAST_AMPLITUDE_SPREAD
+    measured = f"{tracks.least:.0f} to {tracks.most:.0f} counts seen, mean {mean:.0f}"
+    part, why = _largest(
+        (usual, f"±{PERCENT * usual:.0f} % for temperature, supply and age"),
+        (margin * spread, f"{margin:g} times the largest deviation of {PERCENT * spread:.1f} %"),
+    )
+    if part > MOST_AMPLITUDE_SPREAD:
         why = f"{measured}: it varies too much for a narrow limit; look at the encoder, or calibrate it"
-        return [_choice(limits, place, None, why) for place in places]
-    if wide > LEAST_AMPLITUDE_SPREAD:
-        why = f"{measured}: {margin:g} times the largest deviation of {PERCENT * tracks.spread:.1f} %"
-        part = wide
-    else:
-        why = f"{measured}: ±{PERCENT * LEAST_AMPLITUDE_SPREAD:.0f} % for temperature, supply and age"
-        part = LEAST_AMPLITUDE_SPREAD
-    values = (math.floor((1.0 - part) * tracks.mean), min(65535, math.ceil((1.0 + part) * tracks.mean)))
-    return [_choice(limits, place, value, why) for place, value in zip(places, values, strict=True)]
+        return dict.fromkeys(AMPLITUDES, (None, why))
+    values = math.floor((1.0 - part) * mean), min(WIDEST_AMPLITUDE, math.ceil((1.0 + part) * mean))
+    return {place: (value, f"{measured}: {why}") for place, value in zip(AMPLITUDES, values, strict=True)}
 
 
 def _motion(
-    machine: Observation, limits: SupervisionLimits, margin: float, known_rad_s2: float
-) -> tuple[Choice, Choice]:
-    motion, interval_s, n = machine.motion, machine.interval_s, limits.cycles_per_revolution
-    places = (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION)
-    to_rad = machine.rad(1.0, 2, n)
+    machine: Observation, n: int, error_cycles: float, margin: float, known_rad_s2: float
+) -> dict[od.Multiplexer, Chosen]:
+    motion, to_rad = machine.motion, machine.rad(1.0, 2, n)
     known = known_rad_s2 / to_rad
     change = motion.fastest - motion.slowest
     if known == 0.0 and (change < LEAST_SPEED_CHANGE * motion.top_speed or motion.acceleration == 0.0):
@@ -153,13 +154,11 @@ def _motion(
             f"the speed changed by {PERCENT * change / motion.top_speed:.0f} % only, so the largest "
             "acceleration was not seen: let the machine start and stop meanwhile, or set --acceleration"
         )
-        first, second = (_choice(limits, place, None, why) for place in places)
-        return first, second
-    largest = max(margin * motion.acceleration, known)
-    needed, limit = _residual_limit(motion, motion.acceleration, margin, known)
+        return dict.fromkeys((od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION), (None, why))
+    limit, why = _residual_limit(motion, margin, known)
     # A smaller acceleration would narrow the limit.
-    largest = max(largest, limit / LIMIT_UNITS - 4.0 * limits.settings.phase_error_cycles)
-    most = max_acceleration(n, 1.0 / interval_s)
+    largest = max(margin * motion.acceleration, known, limit / LIMIT_UNITS - 4.0 * error_cycles)
+    most = max_acceleration(n, 1.0 / machine.interval_s)
     value = as_real32(min(_rounded_up(largest * to_rad), most))
     taken = f"{known_rad_s2:g} given" if known > margin * motion.acceleration else f"times {margin:g}"
     words = f"{motion.acceleration * to_rad:.3g} rad/s² seen, {taken}"
@@ -167,55 +166,54 @@ def _motion(
         words += "; no more than eq. 10 allows: increase the SYNC rate"
     elif value / to_rad > STEADY_LIMIT:
         words += "; above 1/6 cycle a missed sample may lose the position: increase the SYNC rate"
-    return (
-        _choice(limits, places[0], limit, _residual_words(motion, needed, margin, known)),
-        _choice(limits, places[1], value, words),
-    )
+    return {od.SUPERVISION_RESIDUAL_LIMIT: (limit, why), od.SUPERVISION_ACCELERATION: (value, words)}
 
 
-def _phase_error(machine: Observation, limits: SupervisionLimits, margin: float) -> Choice:
-    place, motion = od.SUPERVISION_PHASE_ERROR, machine.motion
-    if motion.turned < LEAST_TURNED_CYCLES:
-        why = f"the machine moved by {motion.turned:.2g} cycles only, so the phases did not show their errors"
-        return _choice(limits, place, None, why)
-    largest = max(margin * motion.phase_error, CALIBRATED_PHASE_ERROR_CYCLES)
-    why = f"up to {motion.phase_error:.2g} cycle seen, times {margin:g}"
-    if largest == CALIBRATED_PHASE_ERROR_CYCLES:
-        why = (
-            f"up to {motion.phase_error:.2g} cycle seen: {largest:g}, so that the encoder may drift from its "
-            "table"
-        )
-    if largest > MOST_PHASE_ERROR_CYCLES:
-        largest = MOST_PHASE_ERROR_CYCLES
-        why += ", which is more than can be declared: calibrate the encoder"
-    return _choice(limits, place, math.ceil(largest * LIMIT_UNITS), why)
-
-
-def _residual_limit(motion: MotionFigures, largest: float, margin: float, known: float) -> tuple[float, int]:
-    """The limit that is needed, cycles, and 2010:01, for the largest acceleration of this machine.
-
-    ``known`` is a larger one that is given, cycles per interval; 0.0: none.
-    """
+def _residual_limit(motion: MotionFigures, margin: float, known: float) -> tuple[int, str]:
+    """2010:01, and why. ``known`` is an acceleration that is given, cycles per interval^2; 0.0: none."""
     noise = NOISE_SIGMAS * motion.residual_noise
-    needed = max(margin * max(motion.residual_peak, largest + noise), known + margin * noise)
-    needed = max(needed, LEAST_RESIDUAL_LIMIT)
-    return needed, min(math.ceil(needed * LIMIT_UNITS), int(RESIDUAL_LIMIT * LIMIT_UNITS))
-
-
-def _residual_words(motion: MotionFigures, needed: float, margin: float, known: float) -> str:
-    words = (
-        f"residual up to {motion.residual_peak:.2g} cycle seen, {motion.residual_noise:.2g} rms of it noise"
+    needed, why = _largest(
+        (margin * max(motion.residual_peak, motion.acceleration + noise), f", times {margin:g}"),
+        (
+            known + margin * noise,
+            f": the acceleration given, and {margin:g} times {NOISE_SIGMAS:g} standard deviations",
+        ),
+        (
+            LEAST_RESIDUAL_LIMIT,
+            f": {LEAST_RESIDUAL_LIMIT:g} cycle, so that the encoder may drift from its table",
+        ),
     )
     if needed > RESIDUAL_LIMIT:
-        return f"{words}: the widest limit, at which one bad sample is still safe; increase the SYNC rate"
-    if needed == LEAST_RESIDUAL_LIMIT:
-        return f"{words}: {LEAST_RESIDUAL_LIMIT:g} cycle, so that the encoder may drift from its table"
-    if needed == known + margin * NOISE_SIGMAS * motion.residual_noise:
-        return f"{words}: the acceleration given, and {margin:g} times {NOISE_SIGMAS:g} standard deviations"
-    return f"{words}, times {margin:g}"
+        why = ": the widest limit, at which one bad sample is still safe; increase the SYNC rate"
+    seen = (
+        f"residual up to {motion.residual_peak:.2g} cycle seen, {motion.residual_noise:.2g} rms of it noise"
+    )
+    return min(math.ceil(needed * LIMIT_UNITS), int(RESIDUAL_LIMIT * LIMIT_UNITS)), f"{seen}{why}"
 
 
-def _frozen(machine: Observation, limits: SupervisionLimits, margin: float) -> Choice:
+def _largest(*found: tuple[float, str]) -> tuple[float, str]:
+    """The largest value, the first one of several, and its words."""
+    return max(found, key=lambda one: one[0])
+
+
+def _phase_error(motion: MotionFigures, margin: float) -> Chosen:
+    if motion.turned < LEAST_TURNED_CYCLES:
+        return (
+            None,
+            f"the machine moved by {motion.turned:.2g} cycles only, so the phases did not show their errors",
+        )
+    least = CALIBRATED_PHASE_ERROR_CYCLES
+    largest, why = _largest(
+        (least, f": {least:g}, so that the encoder may drift from its table"),
+        (margin * motion.phase_error, f", times {margin:g}"),
+    )
+    if largest > MOST_PHASE_ERROR_CYCLES:
+        why += ", which is more than can be declared: calibrate the encoder"
+    units = math.ceil(min(largest, MOST_PHASE_ERROR_CYCLES) * LIMIT_UNITS)
+    return units, f"up to {motion.phase_error:.2g} cycle seen{why}"
+
+
+def _frozen(machine: Observation, margin: float) -> Chosen:
     tracks = machine.tracks
     repeats = repeats_of_frozen_input(
         tracks.noise_counts, 1.0 / machine.interval_s, margin, tracks.longest_repeat
@@ -226,45 +224,36 @@ def _frozen(machine: Observation, limits: SupervisionLimits, margin: float) -> C
         if repeats
         else f"off: {noise}; a working converter may repeat itself at whole cycles per sample"
     )
-    return _choice(limits, od.SUPERVISION_FROZEN, repeats, why)
+    return repeats, why
 
 
-def _coarse(machine: Observation, limits: SupervisionLimits, margin: float) -> Choice:
-    place = od.SUPERVISION_COARSE_LIMIT
-    if machine.coarse_spread is None:
-        return _choice(limits, place, None, machine.coarse_note or "no coarse track is mapped")
-    wide = max(margin * machine.coarse_spread, LEAST_COARSE_LIMIT)
-    units = math.ceil(min(wide, MOST_COARSE_LIMIT) * LIMIT_UNITS)
-    degrees = 360.0 * machine.coarse_spread
-    why = f"the coarse track differs by up to {degrees:.2g}° of the shaft, times {margin:g}"
-    return _choice(limits, place, units, why)
+def _coarse(machine: Observation, margin: float) -> Chosen:
+    spread = machine.coarse_spread
+    if spread is None:
+        return None, machine.coarse_note
+    wide = min(max(margin * spread, LEAST_COARSE_LIMIT), MOST_COARSE_LIMIT)
+    why = f"the coarse track differs by up to {360.0 * spread:.2g}° of the shaft, times {margin:g}"
+    return math.ceil(wide * LIMIT_UNITS), why
 
 
-def _periods(machine: Observation, limits: SupervisionLimits) -> Choice:
-    place, pause = od.SUPERVISION_PERIODS, machine.longest_pause
+def _periods(pause: float | None) -> Chosen:
     if pause is None:
-        return _choice(limits, place, None, "the times of the SYNCs are not known")
+        return None, NO_TIMES
     periods = USUAL_PERIODS if pause <= 1.5 else math.ceil(pause) + 1
     if periods > MOST_PERIODS:
-        why = f"a pause of {pause:.1f} periods was seen: find its cause rather than allow for it"
-        return _choice(limits, place, None, why)
-    return _choice(limits, place, periods, f"at most {pause:.1f} periods without SYNC or sample were seen")
+        return None, f"a pause of {pause:.1f} periods was seen: find its cause rather than allow for it"
+    return periods, f"at most {pause:.1f} periods without SYNC or sample were seen"
 
 
-def _jitter(machine: Observation, limits: SupervisionLimits, margin: float) -> list[Choice]:
-    place, off_s = JITTER.place, machine.off_grid_s
-    if place not in limits.values:
-        return []
+def _jitter(off_s: float | None, most_s: float, margin: float) -> Chosen:
     if off_s is None:
-        return [_choice(limits, place, None, "the times of the SYNCs are not known")]
+        return None, NO_TIMES
     seen = f"up to {1e6 * off_s:.0f} µs from the even grid seen"
-    most_s = UNDECLARED * machine.interval_s * limits.motion.samples_per_sync
     if margin * off_s > most_s:
-        return [_choice(limits, place, None, f"{seen}: find its cause, or map the sample time (times: true)")]
+        return None, f"{seen}: find its cause, or map the sample time (times: true)"
     if margin * off_s <= USUAL_JITTER_S:
-        return [_choice(limits, place, 0.0, f"{seen}: within the default of {1e3 * USUAL_JITTER_S:g} ms")]
-    value = as_real32(min(_rounded_up(margin * off_s), most_s))
-    return [_choice(limits, place, value, f"{seen}, times {margin:g}")]
+        return 0.0, f"{seen}: within the default of {1e3 * USUAL_JITTER_S:g} ms"
+    return as_real32(min(_rounded_up(margin * off_s), most_s)), f"{seen}, times {margin:g}"
 
 
 def _rounded_up(value: float) -> float:
@@ -380,7 +369,7 @@ def _coarse_spread(
     samples: TrackSamples, followed: SupervisedSamples, limits: SupervisionLimits
 ) -> tuple[float | None, str]:
     if samples.coarse is None:
-        return None, ""
+        return None, "no coarse track is mapped"
     n = limits.cycles_per_revolution
     track = CoarseTrack(n, limits.full_scale_counts, MOST_DIFFERENCE)
     use = followed.valid & np.isfinite(samples.coarse[0]) & np.isfinite(samples.coarse[1])

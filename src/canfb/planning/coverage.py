@@ -152,10 +152,9 @@ def _motion(window: SampleWindow, total: int, rng: Rng) -> Floats:
 
     Whole cycles per interval make no difference to eq. 9, so the speed is within half a cycle.
     """
-    k = np.maximum(np.arange(total) - ORDER + 1.0, 0.0)
-    high = float(rng.uniform(-1.0, 1.0)) * window.motion_cycles
-    bend = k * (k + 1.0) / 2.0
     k = np.arange(total) - ORDER + 1.0
+    high = float(rng.uniform(-1.0, 1.0)) * window.motion_cycles
+    bend = np.where(k > 0.0, k * (k + 1.0) / 2.0, 0.0)
     return np.asarray(float(rng.uniform()) + float(rng.uniform(-0.5, 0.5)) * k + high * bend, np.float64)
 
 

@@ -70,9 +70,8 @@ def _for(plan: Plan, margin: Margin) -> PlanChange | None:
 
 
 def _of_the_bus(plan: Plan) -> Ways:
-    for bit_rate in BIT_RATES:
-        if bit_rate > plan.bit_rate:
-            yield f"raise the bit rate to {bit_rate} bit/s", _at(plan, bit_rate)
+    for faster in _faster_buses(plan):
+        yield f"raise the bit rate to {faster.bit_rate} bit/s", faster
     rate_hz = LEAVES * plan.bus.largest_sync_hz
     if rate_hz > 0.0:
         unit = 10.0 ** (math.floor(math.log10(rate_hz)) - 1)
@@ -134,12 +133,11 @@ def _faster(plan: Plan) -> Ways:
         after = replace(plan, sync_hz=float(rounded_up(rate_hz)))
         if all(margin.holds for margin in after.margins if margin.limited is not Limited.BUS):
             yield f"raise the SYNC rate to {after.sync_hz:g} Hz", after
-            for bit_rate in BIT_RATES:
-                if bit_rate > plan.bit_rate:
-                    text = (
-                        f"raise the SYNC rate to {after.sync_hz:g} Hz, and the bit rate to {bit_rate} bit/s"
-                    )
-                    yield text, _at(after, bit_rate)
+            for one in _faster_buses(after):
+                yield (
+                    f"raise the SYNC rate to {one.sync_hz:g} Hz, and the bit rate to {one.bit_rate} bit/s",
+                    one,
+                )
             return
         rate_hz *= FASTER
 
@@ -164,12 +162,7 @@ def _more_samples(plan: Plan) -> Ways:
 def _narrower(plan: Plan) -> Ways:
     asked, limit = asked_acceleration(plan), _needed_limit(plan)
     if not all(0.0 < one.settings.acceleration_rad_s2 <= KNOWN_ENOUGH * asked for one in plan.modules):
-        after = _with(plan, od.SUPERVISION_ACCELERATION, asked)
-        becomes = widest_limit(after)
-        text = (
-            f"set max_acceleration_rad_s2 (2010:02) to {asked:.6g}: the residual limit becomes {becomes:.3f}"
-        )
-        yield text, after
+        yield _narrowed(plan, od.SUPERVISION_ACCELERATION, asked, "max_acceleration_rad_s2 (2010:02)")
     if limit <= RESIDUAL_LIMIT and not any(one.settings.acceleration_rad_s2 for one in plan.modules):
         yield f"lower residual_limit (2010:01) to {limit:.3f} cycle", _limited(plan, limit)
 
@@ -177,15 +170,18 @@ def _narrower(plan: Plan) -> Ways:
 def _sharper(plan: Plan) -> Ways:
     if not all(one.settings.acceleration_rad_s2 for one in plan.modules):
         return
-    after = _with(plan, od.SUPERVISION_NOISE_MARGIN, NOISE_MARGIN)
-    becomes = widest_limit(after)
-    yield f"set noise_margin (2010:09) to {NOISE_MARGIN}: the residual limit becomes {becomes:.3f}", after
+    yield _narrowed(plan, od.SUPERVISION_NOISE_MARGIN, NOISE_MARGIN, "noise_margin (2010:09)")
     declared = max(one.settings.phase_error_cycles for one in plan.modules)
     least = (WELL - WEIGHTS * declared) / 2.0 * LEAVES
     taken = max(budget.motion_cycles for budget in plan.budgets)
     if taken > least:
         rate_hz = float(rounded_up(plan.sync_hz * math.sqrt(taken / least)))
         yield f"raise the SYNC rate to {rate_hz:g} Hz", replace(plan, sync_hz=rate_hz)
+
+
+def _narrowed(plan: Plan, place: od.Multiplexer, value: float, name: str) -> tuple[str, Plan]:
+    after = _with(plan, place, value)
+    return f"set {name} to {value:.6g}: the residual limit becomes {widest_limit(after):.3f}", after
 
 
 def _with(plan: Plan, place: od.Multiplexer, value: float) -> Plan:
@@ -196,8 +192,11 @@ def _limited(plan: Plan, limit_cycles: float) -> Plan:
     return _with(plan, od.SUPERVISION_RESIDUAL_LIMIT, int(limit_cycles * LIMIT_UNITS))
 
 
-def _at(plan: Plan, bit_rate: int) -> Plan:
-    return replace(plan, bit_rate=bit_rate, extra_load=plan.extra_load * plan.bit_rate / bit_rate)
+def _faster_buses(plan: Plan) -> list[Plan]:
+    load = plan.extra_load * plan.bit_rate
+    return [
+        replace(plan, bit_rate=rate, extra_load=load / rate) for rate in BIT_RATES if rate > plan.bit_rate
+    ]
 
 
 def _needed_limit(plan: Plan) -> float:

@@ -22,13 +22,10 @@ from functools import cached_property
 from typing import Any
 
 from canfb.planning.planned_bus import (
-    HEARTBEAT,
     BusLoad,
-    Message,
     PlannedModule,
     Values,
     adc_messages,
-    heartbeat_message,
     in_order,
     node_messages,
     sync_message,
@@ -162,12 +159,13 @@ class Plan:
 
     @cached_property
     def bus(self) -> BusLoad:
-        messages: list[Message] = [sync_message(self.modules[0].values)]
-        for module in self.modules:
-            messages += self._beating(module.node_id, module.values, sampled=True)
-            messages += [] if module.samples_itself else adc_messages(module.values)
+        beat_s = self.heartbeat_s
+        messages = [sync_message(self.modules[0].values)]
+        for one in self.modules:
+            messages += node_messages(one.values, one.node_id, sampled=True, heartbeat_s=beat_s)
+            messages += [] if one.samples_itself else adc_messages(one.values)
         for node_id, values in self.others:
-            messages += self._beating(node_id, values, sampled=False)
+            messages += node_messages(values, node_id, sampled=False, heartbeat_s=beat_s)
         return BusLoad(self.bit_rate, self.sync_hz, in_order(messages), self.extra_load)
 
     @cached_property
@@ -186,12 +184,6 @@ class Plan:
     @property
     def holds(self) -> bool:
         return all(margin.holds for margin in self.margins)
-
-    def _beating(self, node_id: int, values: Values, *, sampled: bool) -> list[Message]:
-        found = node_messages(values, node_id, sampled=sampled)
-        if self.heartbeat_s and not values.get(HEARTBEAT):
-            found.append(heartbeat_message(node_id, self.heartbeat_s))
-        return found
 
     def _margins(self) -> Iterator[Margin]:
         load, speed = self.bus.load, self.speed_rad_s

@@ -111,15 +111,24 @@ def adc_messages(values: Values) -> list[Message]:
     return found
 
 
-def node_messages(values: Values, node_id: int, *, sampled: bool) -> list[Message]:
-    """TPDOs, heartbeat and EMCY of a node.
+def node_messages(values: Values, node_id: int, *, sampled: bool, heartbeat_s: float = 0.0) -> list[Message]:
+    """TPDOs, heartbeat and EMCY of a node; ``heartbeat_s`` if it has none of its own, 0.0: none.
 
     ``sampled``: each sample is an event for its TPDOs of type FEh and FFh, and of type 0 the same. TPDOs
     on remote frames alone have the rate 0, as nobody is known to ask.
     """
     found = [_tpdo(values, pdo, node_id, sampled) for pdo in valid_pdos(values.get, od.TPDO, od.TPDO_MAPPING)]
-    if values.get(HEARTBEAT):
-        found.append(heartbeat_message(node_id, values[HEARTBEAT] * TIMER_S))
+    period_s = values.get(HEARTBEAT, 0) * TIMER_S or heartbeat_s
+    if period_s:
+        found.append(
+            Message(
+                can_id=cob.ERROR_CONTROL + node_id,
+                kind="heartbeat",
+                node_id=node_id,
+                data_bytes=1,
+                least_hz=1.0 / period_s,
+            )
+        )
     emcy = values.get(EMCY_COB_ID, cob.EMERGENCY + node_id)
     if cob.is_valid(emcy):
         inhibit = values.get(EMCY_INHIBIT, 0) * INHIBIT_S
@@ -134,16 +143,6 @@ def node_messages(values: Values, node_id: int, *, sampled: bool) -> list[Messag
             )
         )
     return found
-
-
-def heartbeat_message(node_id: int, period_s: float) -> Message:
-    return Message(
-        can_id=cob.ERROR_CONTROL + node_id,
-        kind="heartbeat",
-        node_id=node_id,
-        data_bytes=1,
-        least_hz=1.0 / period_s,
-    )
 
 
 def _tpdo(values: Values, pdo: Pdo, node_id: int, sampled: bool) -> Message:
@@ -256,24 +255,18 @@ def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
     entries += [TIME] if times else []
     known = {TIME}.union(MODULE_TRACKS, *MODULE_EARLIER)
     entries += [entry for pdo in own for entry in pdo.entries if entry not in known]
-    return _filled(values, [pdo.number for pdo in own], interface, entries)
-
-
-def _filled(values: Values, own: list[int], interface: int, entries: list[int]) -> dict[Place, Any]:
-    """These entries in the RPDOs ``own`` of an interface, and in others that are not valid."""
+    mapped = mapping_values(0, entries)  # by the place of the PDO among ``numbers``
     in_use = {pdo.number for pdo in valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)}
-    free = [number for number in range(1, len(cob.TPDOS) + 1) if number not in in_use]
-    numbers = own + [number for number in free if (od.RPDO + number - 1, 1) in values]
-    pdos = mapping_values(0, entries)  # by the place of the PDO among ``numbers``
-    needed = 1 + max(place for place, _ in pdos)
+    cob_ids = {n: (od.RPDO + n - 1, 1) for n in range(1, len(cob.TPDOS) + 1)}
+    free = [n for n, place in cob_ids.items() if n not in in_use and place in values]
+    numbers, needed = [*(pdo.number for pdo in own), *free], 1 + max(place for place, _ in mapped)
     if needed > len(numbers):
         raise ValueError(f"the samples need {needed} RPDOs, and there are {len(numbers)} for them")
-    switched_on = {(od.RPDO + n - 1, 1): cob.TPDOS[n - 1] + interface for n in numbers[len(own) : needed]}
-    switched_off = {
-        place: cob.NOT_VALID | values[place] for n in own[needed:] for place in [(od.RPDO + n - 1, 1)]
+    return {
+        **{(od.RPDO_MAPPING + numbers[place] - 1, sub): value for (place, sub), value in mapped.items()},
+        **{cob_ids[n]: cob.TPDOS[n - 1] + interface for n in numbers[len(own) : needed]},
+        **{cob_ids[pdo.number]: cob.NOT_VALID | values[cob_ids[pdo.number]] for pdo in own[needed:]},
     }
-    mapped = {(od.RPDO_MAPPING + numbers[place] - 1, sub): value for (place, sub), value in pdos.items()}
-    return mapped | switched_on | switched_off
 
 
 @dataclass(frozen=True, kw_only=True)
