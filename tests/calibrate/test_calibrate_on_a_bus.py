@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from calibrating import calibrate, command, position_errors
 
 import canfb
-from canfb.calibration.recording import LARGEST_DENOMINATOR, Lock, away_from, find_lock
+from canfb.calibration.recording import LARGEST_DENOMINATOR, away_from, find_lock
 from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
@@ -255,27 +256,27 @@ def tracks(cycles_per_sample: float, n: int = N, lost: float = 0.0) -> TrackSamp
     return TrackSamples.of(np.where(gone, np.nan, sine), np.where(gone, np.nan, cosine), RATE_HZ, "simulated")
 
 
-def lock_of(samples: TrackSamples) -> Lock | None:
+def lock_of(samples: TrackSamples) -> Fraction | None:
     return find_lock(samples.sine, samples.cosine)
 
 
 @pytest.mark.parametrize(
     ("speed", "lock"),
     [
-        (0.0, Lock(0, 1)),
-        (25.0, Lock(0, 1)),
-        (-25.0, Lock(0, 1)),
-        (12.5, Lock(1, 2)),
-        (83 + 1 / 3, Lock(1, 3)),
-        (-1 / 3, Lock(2, 3)),
-        (2 / 7, Lock(2, 7)),
-        (7 / 16, Lock(7, 16)),
-        (1.0005, Lock(0, 1)),
+        (0.0, Fraction(0, 1)),
+        (25.0, Fraction(0, 1)),
+        (-25.0, Fraction(0, 1)),
+        (12.5, Fraction(1, 2)),
+        (83 + 1 / 3, Fraction(1, 3)),
+        (-1 / 3, Fraction(2, 3)),
+        (2 / 7, Fraction(2, 7)),
+        (7 / 16, Fraction(7, 16)),
+        (1.0005, Fraction(0, 1)),
         *((speed, None) for speed in (0.382, 25.41, 83.5 + 0.004, 1.003, 0.02, 83.34)),
     ],
 )
 def test_small_fractions_are_found_and_what_is_far_enough_from_them_is_no_lock(
-    speed: float, lock: Lock | None
+    speed: float, lock: Fraction | None
 ) -> None:
     assert lock_of(tracks(speed)) == lock
     assert lock_of(tracks(speed, lost=0.03)) == lock

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from canfb.calibrate.calibration_summary import coverage_warning, findings
-from canfb.calibrate.measurement import Measurement
+from canfb.calibrate.measurement import Measurement, SpeedSamples
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.result import BINS, samples_in_bins
 from canfb.errors import CalibrationError
@@ -76,16 +76,14 @@ def keep_samples(folder: Path, samples: TrackSamples) -> Path:
     return folder / SAMPLES
 
 
-def keep_speeds(folder: Path, measured: Sequence[tuple[TrackSamples, float]]) -> list[Path]:
+def keep_speeds(folder: Path, measured: Iterable[SpeedSamples]) -> None:
     place = folder / SPEEDS
-    paths = [place / f"{number:02d}.npz" for number in range(1, len(measured) + 1)]
     with writing(place):
         place.mkdir(exist_ok=True)
         for old in place.glob("*.npz"):  # of an earlier run
             old.unlink()
-        for path, (samples, hertz) in zip(paths, measured, strict=True):
-            write_npz(path, samples, hertz)
-    return paths
+        for number, one in enumerate(measured, 1):
+            write_npz(place / f"{number:02d}.npz", one.samples, one.hertz)
 
 
 def write_refusal(
@@ -94,14 +92,13 @@ def write_refusal(
     refused: CalibrationError,
     where: Provenance,
     limits: SampleLimits | None = None,
-) -> list[Path]:
+) -> None:
     """Samples and report of a measurement that was refused: they show why. There is no table."""
     with writing(folder):
         for name in (TABLE_YAML, TABLE_BIN):  # of an earlier run: they must not pass for those of this one
             (folder / name).unlink(missing_ok=True)
         write_npz(folder / SAMPLES, samples)
         (folder / REPORT).write_text(refusal_html(samples, refused, where, limits), encoding="utf-8")
-    return [folder / name for name in (SAMPLES, REPORT)]
 
 
 FOOTER = (

@@ -261,7 +261,7 @@ class CalibrationRun:
         delay = self._choices.delay_to_set
         out = self._choices.out
         if out is not None:
-            keep_speeds(out, [(one.samples, one.hertz) for one in samples])
+            keep_speeds(out, samples)
         return self._judged(
             lowest, lambda: measure_speeds(samples, settings, before, self._steps.part, delay)
         )

@@ -372,7 +372,7 @@ def drift_result(found: DriftCheck, where: Provenance) -> Result:
         f"phase {change['phase_rad']:+.2g} rad"
     )
     rows = [
-        *_error_rows(found.rms, found.peak, found.active, where),
+        *_error_rows(*found.drift, found.active, where),
         Row(
             "uncertainty, peak",
             f"{percent(fresh.uncertainty_peak, where)} of a cycle",

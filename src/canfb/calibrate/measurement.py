@@ -28,7 +28,7 @@ from canfb.calibration.over_speeds import (
     measured_at_standstill,
 )
 from canfb.calibration.path_fit import NO_PATH, PathFit
-from canfb.calibration.result import Calibration, Method, Reason, about_mean, drift, naming_speed
+from canfb.calibration.result import Calibration, Drift, Method, Reason, about_mean, drift, naming_speed
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, Progress, as_real32
 from canfb.master.samples import TrackSamples
@@ -393,13 +393,12 @@ def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) 
 class DriftCheck:
     """What the active table gets wrong now, cycles.
 
-    rms, peak     of the error over the cycle, its constant part taken off
+    drift         of the error over the cycle, its constant part taken off
     on_samples    deviation of the samples; its ``before`` is that with the active table
     change        None without an active conditioning
     """
 
-    rms: float
-    peak: float
+    drift: Drift
     active: Correction
     calibration: Calibration
     on_samples: Deviation
@@ -407,7 +406,7 @@ class DriftCheck:
 
     @property
     def is_significant(self) -> bool:
-        return self.rms > 2.0 * self.calibration.uncertainty_rms
+        return self.drift.rms > 2.0 * self.calibration.uncertainty_rms
 
 
 def check(samples: TrackSamples, active: Correction, settings: Settings, progress: Progress) -> DriftCheck:
@@ -437,7 +436,7 @@ def check_at_speed(
 
 def _compared(fresh: Calibration, active: Correction, on_samples: Deviation) -> DriftCheck:
     found = drift(fresh, active.table, active.conditioning)
-    return DriftCheck(found.rms, found.peak, active, fresh, on_samples, _change(fresh, active.conditioning))
+    return DriftCheck(found, active, fresh, on_samples, _change(fresh, active.conditioning))
 
 
 def _change(fresh: Calibration, active: Conditioning) -> dict[str, float] | None:

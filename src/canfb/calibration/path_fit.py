@@ -215,18 +215,16 @@ def check_apart(hertz: FloatArray, noise: FloatArray | float = 0.0) -> None:
     """Refuse speeds (cycles/s) that do not determine a delay, with what would be left uncertain."""
     apart, top = float(np.ptp(hertz)), float(np.abs(hertz).max())
     sigma_rad = math.sqrt(2.0) * math.hypot(ANGLE_REPEATS_RAD, float(np.max(noise)))
-    if apart > 0.0 and ERROR_OF_ANGLE * sigma_rad * top / apart <= MOST_UNCERTAIN_CYCLES:
-        return
     if apart == 0.0:
         raise CalibrationError("the analog path shows over at least two speeds", Reason.SPEED)
-    sigma_s = sigma_rad / (2.0 * math.pi * apart)
-    raise CalibrationError(
-        f"the speeds are too close to tell: from {hertz.min():.6g} to {hertz.max():.6g} cycles/s the delay "
-        f"between the tracks is known to ±{sigma_s * 1e9:.3g} ns, "
-        f"{ERROR_OF_ANGLE * sigma_rad * top / apart:.2g} cycle rms at the highest speed. Measure at a third "
-        "of it or less, too",
-        Reason.SPEED,
-    )
+    left = ERROR_OF_ANGLE * sigma_rad * top / apart
+    if left > MOST_UNCERTAIN_CYCLES:
+        raise CalibrationError(
+            f"the speeds are too close to tell: from {hertz.min():.6g} to {hertz.max():.6g} cycles/s the "
+            f"delay between the tracks is known to ±{sigma_rad / (2.0 * math.pi * apart) * 1e9:.3g} ns, "
+            f"{left:.2g} cycle rms at the highest speed. Measure at a third of it or less, too",
+            Reason.SPEED,
+        )
 
 
 def fit_low_pass(hertz: FloatArray, amplitude: FloatArray, sigma: FloatArray) -> LowPass:

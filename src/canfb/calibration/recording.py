@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
@@ -140,16 +140,13 @@ class Recording:
 
         In each block the motion is a polynomial of ``terms`` coefficients.
         """
-        starts: list[int] = []
-        stops: list[int] = []
-        for first, last in itertools.pairwise([0, *self.breaks.tolist(), len(self.time)]):
-            if last - first < terms + SPARE:
-                continue
-            count = max(1, round((last - first) / length))
-            at = np.linspace(first, last, count + 1).round().astype(np.int64).tolist()
-            starts += at[:-1]
-            stops += at[1:]
-        start, stop = np.array(starts, np.int64)[:, None], np.array(stops, np.int64)[:, None]
+        ends = [
+            np.linspace(first, last, 1 + max(1, round((last - first) / length))).round().astype(np.int64)
+            for first, last in itertools.pairwise([0, *self.breaks.tolist(), len(self.time)])
+            if last - first >= terms + SPARE
+        ]
+        spans = np.vstack([np.zeros((0, 2), np.int64), *(np.column_stack([at[:-1], at[1:]]) for at in ends)])
+        start, stop = spans[:, :1], spans[:, 1:]
         place = start + np.arange(np.max(stop - start, initial=1))
         inside, index = place < stop, np.minimum(place, stop - 1)
         begin, end = self.time[start], self.time[stop - 1]
@@ -293,15 +290,9 @@ STEPS = (0.382, 0.276, 0.171, 0.236, 0.118, 0.073, 0.045)
 FAR = 0.03
 
 
-class Lock(NamedTuple):
-    """So many cycles per sample: numerator / denominator, and an unknown whole number."""
-
-    numerator: int
-    denominator: int
-
-
-def find_lock(sine: FloatArray, cosine: FloatArray) -> Lock | None:
-    """The lock of these tracks (ADC counts, NaN for a missed sample); None without one, or below 256 samples.
+def find_lock(sine: FloatArray, cosine: FloatArray) -> Fraction | None:
+    """Cycles per sample, but for a whole number, of tracks (ADC counts, NaN for a missed sample) that are
+    locked to it; None without a lock, or below 256 samples.
 
     Locked at p/q, each q-th sample lies at the same place; here for q up to 16, on windows of 256.
     """
@@ -318,17 +309,19 @@ def find_lock(sine: FloatArray, cosine: FloatArray) -> Lock | None:
         mean = np.where(seen, places, 0.0).sum(axis=1) / np.maximum(1, seen.sum(axis=1))
         if np.mean(np.abs(mean) ** 2) > power * np.sinc(DRIFT_CYCLES / q) ** 2:
             step = float(np.angle(np.nansum(z[1:] * np.conj(z[:-1])))) / (2.0 * math.pi)
-            return Lock(round(step * q) % q, q)
+            return Fraction(round(step * q), q) % 1
     return None
 
 
 def away_from(fraction: float) -> float:
     """What to add to these cycles per sample so that they are no simple fraction."""
-    for step in STEPS:
-        multiples = (q * (fraction + step) for q in range(1, LARGEST_DENOMINATOR + 1))
-        if all(abs(math.remainder(one, 1.0)) >= FAR for one in multiples):
-            return step
-    return STEPS[0]
+    denominators = range(1, LARGEST_DENOMINATOR + 1)
+    far = (
+        step
+        for step in STEPS
+        if all(abs(math.remainder(q * (fraction + step), 1.0)) >= FAR for q in denominators)
+    )
+    return next(far, STEPS[0])
 
 
 # Cycles per interval: far beyond 3000 rpm of 5000 cycles at 1 kHz.

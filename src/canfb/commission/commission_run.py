@@ -314,7 +314,6 @@ def _pictures(done: Commissioned) -> list[str]:
         done.new.values[place] for place in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
     )
     largest = done.new.bounds(interval_s).acceleration or 0.0
-    samples, noise = done.observed.samples, machine.motion.noise
     to_rad = machine.rad(1.0, 2, done.new.cycles_per_revolution)
     listed = [
         (
@@ -331,16 +330,16 @@ def _pictures(done: Commissioned) -> list[str]:
             "Acceleration over time",
             "averaged as far as the noise demands, with the limit 2010:02",
             pictures.acceleration_over_time(
-                to_rad * smooth_acceleration(machine.motion.residual, noise), interval_s, to_rad * largest
+                to_rad * smooth_acceleration(machine.motion.residual), interval_s, to_rad * largest
             ),
         ),
         (
             "Lissajous figure",
             "all samples within the new limits of the amplitude",
             pictures.lissajous(
-                samples.sine,
-                samples.cosine,
-                done.observed.used.conditioning,
+                machine.samples.sine,
+                machine.samples.cosine,
+                machine.used.conditioning,
                 done.new.chain_limits(interval_s).sample,
             ),
         ),

@@ -339,8 +339,7 @@ def _follow(
 ) -> tuple[float, SupervisedSamples]:
     raw = raw_phases(*used.conditioning.apply(samples.sine, samples.cosine))
     phase = raw if used.table is None else used.table(raw)
-    even = np.arange(float(len(samples)))
-    time = even if samples.time_s is None else samples.time_s / interval_s
+    time = np.arange(float(len(samples))) if samples.time_s is None else samples.time_s / interval_s
     place = positions(phase, time, samples.time_s is not None, np.zeros(0, np.int64))
     speed = np.diff(place) / np.diff(time)
     to_cycles = limits.cycles_per_revolution * interval_s / (2.0 * math.pi)

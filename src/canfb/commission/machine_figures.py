@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.measurement import SupervisedSamples
-from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass
+from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass, response
 from canfb.calibration.result import (
     BINS,
     THIRDS,
@@ -34,7 +34,7 @@ from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 HALVES = (1, 2, 4, 8, 16, 32, 64)  # of the windows of the parabolas, samples to each side
 MOVING_CYCLES = 0.02  # per interval: slower, the counts of neighbours hardly differ and noise hides
 FOURTH = math.sqrt(70.0)  # times the noise of a sample: that of the fourth difference
-SECOND = math.sqrt(6.0)
+SMOOTHED = 4  # of them: the noise of second differences is less than a tenth after this parabola
 GROUPS, LEAST_OF_GROUP = 5, 400
 
 
@@ -64,18 +64,16 @@ class MotionFigures:
 
     @property
     def residual_peak(self) -> float:
-        return peak(self.residual[np.isfinite(self.residual)])
+        return peak(_known(self.residual))
 
     @property
     def residual_rms(self) -> float:
-        return root_mean(self.residual[np.isfinite(self.residual)])
+        return root_mean(_known(self.residual))
 
     @property
     def phase_error(self) -> float:
         """The largest error of one phase beyond the motion, cycles: at most all three are off at a time."""
-        off = self.residual - smooth_acceleration(self.residual, self.noise)
-        off = off[np.isfinite(off)]
-        return peak(off) / 4.0 if len(off) else 0.0
+        return peak(_known(self.residual - smooth_acceleration(self.residual))) / 4.0
 
     @property
     def residual_noise(self) -> float:
@@ -85,13 +83,12 @@ class MotionFigures:
 def motion_figures(samples: SupervisedSamples) -> MotionFigures:
     """The motion of these samples; at least one step between two valid ones."""
     speed, elapsed = samples.speed, samples.elapsed
-    known = speed[np.isfinite(speed)]
     acceleration = np.diff(speed) / ((elapsed[2:] + elapsed[1:-1]) / 2.0)
     position = samples.position[samples.valid]
     moves = np.abs(speed) >= MOVING_CYCLES
     noise = _noise(acceleration, np.where(moves, np.abs(speed), np.nan)[1:])
-    slow = _averaged(speed, _bell(8))  # a speed between two samples is mostly noise
-    slow = slow[np.isfinite(slow)] if np.isfinite(slow).any() else known
+    slow = _known(_averaged(speed, _bell(8)))  # a speed between two samples is mostly noise
+    slow = slow if len(slow) else _known(speed)
     return MotionFigures(
         slowest=float(slow.min()),
         fastest=float(slow.max()),
@@ -134,14 +131,10 @@ def _errors(position: FloatArray) -> FloatArray:
     return np.hstack([np.sin(angle), np.cos(angle)])
 
 
-def smooth_acceleration(residual: FloatArray, noise: float) -> FloatArray:
-    """Second differences averaged until their noise is a tenth, for a picture; NaN where not known."""
-    for half in HALVES:
-        bell = _bell(half)
-        if np.linalg.norm(np.convolve(bell, [1.0, -2.0, 1.0])) * noise <= 0.1 * SECOND * noise:
-            break
-    pad = len(bell) // 2
-    return np.concatenate([np.full(pad, np.nan), _averaged(residual, bell), np.full(pad, np.nan)])
+def smooth_acceleration(residual: FloatArray) -> FloatArray:
+    """Second differences averaged until their noise is a tenth; NaN where not known."""
+    unknown = np.full(SMOOTHED - 1, np.nan)
+    return np.concatenate([unknown, _averaged(residual, _bell(SMOOTHED)), unknown])
 
 
 def _noise(acceleration: FloatArray, speed: FloatArray) -> float:
@@ -157,14 +150,17 @@ def _largest(values: FloatArray, noise: float, difference: FloatArray) -> float:
     most = 0.0
     for half in HALVES:
         bell = _bell(half)
-        averaged = _averaged(values, bell)
-        averaged = averaged[np.isfinite(averaged)]
+        averaged = _known(_averaged(values, bell))
         if len(averaged) < len(bell):
             break
         sigmas = math.sqrt(2.0 * math.log(len(averaged) + 1.0))  # the largest of this many
         by_noise = sigmas * noise * float(np.linalg.norm(np.convolve(bell, difference)))
         most = max(most, peak(averaged) - by_noise)
     return most
+
+
+def _known(values: FloatArray) -> FloatArray:
+    return values[np.isfinite(values)]
 
 
 def _averaged(values: FloatArray, bell: FloatArray) -> FloatArray:
@@ -193,7 +189,10 @@ def low_pass_of(followed: SupervisedSamples, interval_s: float, corners: Corners
     hertz = np.abs(followed.speed) / interval_s
     amplitude = followed.amplitude[1:]
     known = np.isfinite(hertz) & np.isfinite(amplitude)
-    hertz, amplitude = hertz[known], amplitude[known] * _left(hertz[known], corners)
+    hertz, amplitude = hertz[known], amplitude[known]
+    amplitude *= np.mean(
+        [np.abs(response(hertz, hz)) for hz in (corners.corner_hz, corners.of_cosine_hz)], axis=0
+    )
     if not len(hertz) or not hertz.max() > 0.0:
         return None
     number = np.minimum((hertz / hertz.max() * CLASSES).astype(np.int64), CLASSES - 1)
@@ -206,12 +205,6 @@ def low_pass_of(followed: SupervisedSamples, interval_s: float, corners: Corners
     sizes = np.array([amplitude[one].mean() for one in classes])
     spread = np.array([amplitude[one].std() / np.sqrt(np.sum(one)) for one in classes])
     return fit_low_pass(speeds, sizes, np.hypot(AMPLITUDE_REPEATS, spread / sizes))
-
-
-def _left(hertz: FloatArray, corners: Corners) -> FloatArray:
-    both = [hz for hz in (corners.corner_hz, corners.of_cosine_hz) if hz]
-    left = [1.0 / np.hypot(1.0, hertz / hz) for hz in both]
-    return np.asarray(np.mean(left, axis=0) if left else np.ones(len(hertz)), np.float64)
 
 
 ROUNDING_VARIANCE = 1.0 / 12.0  # of a count, of a converter that rounds

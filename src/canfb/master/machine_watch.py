@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from importlib.metadata import version
 from typing import Any
 
 from canfb import objects as od
-from canfb.calibration.recording import WINDOW, Lock, away_from, find_lock
+from canfb.calibration.recording import WINDOW, away_from, find_lock
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, NodeAccess, Progress
@@ -47,7 +48,7 @@ class LockWatch:
         if samples.rate_hz:
             speed = self._speed_rad_s() * self._cycles_per_revolution / (2.0 * math.pi) / samples.rate_hz
             if speed < 0.0:  # backwards is forwards with the tracks exchanged
-                speed, lock = -speed, Lock(-lock.numerator % lock.denominator, lock.denominator)
+                speed, lock = -speed, -lock % 1
         if lock.denominator == 1 and speed < HALF_CYCLE and self._next_s < STANDSTILL_S:
             self._next_s = STANDSTILL_S
             return False
@@ -59,9 +60,8 @@ class LockWatch:
         if self.found is not None:
             raise self.found
 
-    def _error(self, lock: Lock, speed: float, rate_hz: float | None) -> CalibrationError:
-        part = lock.numerator / lock.denominator
-        step, near = away_from(part), round(speed - part) + part
+    def _error(self, lock: Fraction, speed: float, rate_hz: float | None) -> CalibrationError:
+        step, near = away_from(float(lock)), round(speed - lock) + float(lock)
         rpm = 60.0 * rate_hz / self._cycles_per_revolution if rate_hz else 0.0  # of one cycle per sample
         faster = f"{step * rpm:.3g} rpm faster" if rpm else f"by {step} of a cycle per sample faster"
         if lock.denominator == 1 and speed < HALF_CYCLE:
@@ -71,7 +71,7 @@ class LockWatch:
                 Reason.COVERAGE,
             )
         known = "" if speed < HALF_CYCLE else f", for example at {(near + step) * rpm:.5g} rpm"
-        count = "a whole number" if lock.denominator == 1 else f"n + {lock.numerator}/{lock.denominator}"
+        count = "a whole number" if lock.denominator == 1 else f"n + {lock}"
         return CalibrationError(
             f"the motion is locked to the samples: {count} of cycles per sample, so that the same phases "
             f"repeat. Let it turn {faster}{known}",
