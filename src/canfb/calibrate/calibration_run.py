@@ -16,12 +16,10 @@ from canfb.calibrate.artefacts import keep_samples, keep_speeds, write, write_re
 from canfb.calibrate.calibration_summary import drift_result, findings, module_drift_result
 from canfb.calibrate.choices import MODULE, PDO, CalibrateOptions
 from canfb.calibrate.measurement import (
-    DriftCheck,
     InForce,
     Measurement,
     Settings,
     SpeedSamples,
-    check,
     check_at_speed,
     measure,
     measure_speeds,
@@ -109,7 +107,7 @@ class CalibrationRun:
         if choices.speeds is not None:
             each = choices.samples_of_folder(path)
             return self._report(self._measured_speeds(each, settings, InForce(before)))
-        return self._compared(choices.samples_of_file(path), before, settings)
+        return self._report(self._measured(choices.samples_of_file(path), before, settings))
 
     def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
         choices = self._choices
@@ -137,7 +135,7 @@ class CalibrationRun:
         self._look(session, before)
         if watch.found is not None:
             self._judged(samples, watch.raise_found)
-        return self._compared(samples, session.active, settings, put)
+        return self._report(self._measured(samples, session.active, settings), put)
 
     def _begin(self, master: Master, module: int, interface: int | None) -> Session:
         self._steps.step("reading the active table")
@@ -180,15 +178,9 @@ class CalibrationRun:
 
             return self._report(self._measured(samples, session.active, settings), accepted)
 
-    def _compared(
-        self, samples: TrackSamples, before: Correction, settings: Settings, put: Put | None = None
-    ) -> Result:
-        if self._choices.check:
-            return self._drift(samples, lambda: check(samples, before, settings, self._steps.part))
-        return self._report(self._measured(samples, before, settings), put)
-
     def _measured(self, samples: TrackSamples, before: Correction, settings: Settings) -> Measurement:
-        return self._judged(samples, lambda: measure(samples, settings, before, self._steps.part))
+        same = before.conditioning if self._choices.check else None
+        return self._judged(samples, lambda: measure(samples, settings, before, self._steps.part, same))
 
     def _install(
         self,
@@ -275,22 +267,22 @@ class CalibrationRun:
             InForce(session.active, read_corners(session.module)),
             choices.settings(session.limits),
         )
-        return self._drift(
-            measured.samples, lambda: check_at_speed(measured, active, settings, self._steps.part)
+        return self._report(
+            self._judged(
+                measured.samples, lambda: check_at_speed(measured, active, settings, self._steps.part)
+            )
         )
 
-    def _drift(self, samples: TrackSamples, act: Callable[[], DriftCheck]) -> Result:
-        found = self._judged(samples, act)
-        if self._choices.out:
-            keep_samples(self._choices.out, samples)
-        return drift_result(found, self._where)
-
     def _report(self, measured: Measurement, put: Put | None = None) -> Result:
-        """Put in force first, unless there is no module or it is a dry run."""
+        """The drift, or the table: ``put`` in force first, unless it is a dry run."""
+        out = self._choices.out
+        if self._choices.check:
+            if out:
+                keep_samples(out, measured.samples)
+            return drift_result(measured, self._where)
         done = Installation()
         if put is not None and not self._choices.dry_run:
             measured, done = put(measured)
-        out = self._choices.out
         paths = write(out, measured, done, self._where, self._limits) if out else []
         return findings(measured, done, self._where).result(paths)
 

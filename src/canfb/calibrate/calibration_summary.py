@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 
-from canfb.calibrate.measurement import DriftCheck, Measurement, OverSpeeds
+from canfb.calibrate.measurement import Measurement, OverSpeeds, conditioning_change
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.path_fit import LowPass
-from canfb.calibration.result import Calibration
+from canfb.calibration.result import Calibration, drift
 from canfb.master.machine_watch import PERCENT, Provenance, percent, where_words
 from canfb.master.samples import TrackSamples
 from canfb.rows import Findings, Result, Row, Section, as_figures, as_lines
@@ -363,16 +363,22 @@ def module_drift_result(
     return Result(as_figures(rows), as_lines(rows))
 
 
-def drift_result(found: DriftCheck, where: Provenance) -> Result:
-    fresh, change = found.calibration, found.change
-    now_rms, new_rms = found.on_samples.before_rms, fresh.residual_rms
+def drift_result(measured: Measurement, where: Provenance) -> Result:
+    """What the active table, the one of before, gets wrong now."""
+    fresh, active = measured.calibration, measured.before
+    found, change = (
+        drift(fresh, active.table, active.conditioning),
+        conditioning_change(fresh, active.conditioning),
+    )
+    is_significant = found.rms > 2.0 * fresh.uncertainty_rms
+    now_rms, new_rms = measured.on_samples.before_rms, fresh.residual_rms
     changed = change and (
         f"offset {PERCENT * change['sine_offset']:+.2g} / {PERCENT * change['cosine_offset']:+.2g} % of the "
         f"amplitude, gain of the cosine {PERCENT * change['gain']:+.2g} %, "
         f"phase {change['phase_rad']:+.2g} rad"
     )
     rows = [
-        *_error_rows(*found.drift, found.active, where),
+        *_error_rows(*found, active, where),
         Row(
             "uncertainty, peak",
             f"{percent(fresh.uncertainty_peak, where)} of a cycle",
@@ -386,9 +392,9 @@ def drift_result(found: DriftCheck, where: Provenance) -> Result:
             new_table_rms_cycles=new_rms,
         ),
         Row("changed since", changed or None, changed=change),
-        Row(drift_seen=found.is_significant, coverage=fresh.coverage, samples=fresh.samples_used),
+        Row(drift_seen=is_significant, coverage=fresh.coverage, samples=fresh.samples_used),
     ]
-    nothing = [] if found.is_significant else ["no drift within the uncertainty of this measurement"]
+    nothing = [] if is_significant else ["no drift within the uncertainty of this measurement"]
     return Result(as_figures(rows), [*as_lines(rows), *nothing])
 
 

@@ -28,7 +28,7 @@ from canfb.calibration.over_speeds import (
     measured_at_standstill,
 )
 from canfb.calibration.path_fit import NO_PATH, PathFit
-from canfb.calibration.result import Calibration, Drift, Method, Reason, about_mean, drift, naming_speed
+from canfb.calibration.result import Calibration, Method, Reason, about_mean, naming_speed
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, Progress, as_real32
 from canfb.master.samples import TrackSamples
@@ -389,35 +389,12 @@ def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) 
     return low_pass.delay_s
 
 
-@dataclass(frozen=True, eq=False)
-class DriftCheck:
-    """What the active table gets wrong now, cycles.
-
-    drift         of the error over the cycle, its constant part taken off
-    on_samples    deviation of the samples; its ``before`` is that with the active table
-    change        None without an active conditioning
-    """
-
-    drift: Drift
-    active: Correction
-    calibration: Calibration
-    on_samples: Deviation
-    change: dict[str, float] | None = None
-
-    @property
-    def is_significant(self) -> bool:
-        return self.drift.rms > 2.0 * self.calibration.uncertainty_rms
-
-
-def check(samples: TrackSamples, active: Correction, settings: Settings, progress: Progress) -> DriftCheck:
-    measured = measure(samples, settings, active, progress, active.conditioning)
-    return _compared(measured.calibration, active, measured.on_samples)
-
-
 def check_at_speed(
     measured: SpeedSamples, active: InForce, settings: Settings, progress: Progress
-) -> DriftCheck:
-    """:func:`check` of samples as they came, at any speed: the analog path that is active is taken out."""
+) -> Measurement:
+    """With the conditioning that is active, of samples as they came, at any speed: the analog path that is
+    active is taken out.
+    """
     used = active.correction
     progress(0.1)
     found = measured_at_standstill(
@@ -431,15 +408,11 @@ def check_at_speed(
     now = InForce(found.correction, active.corners)
     errors = errors_at(measured, active, now, NO_PATH, found.block_samples, settings.adc_bits)
     before = errors.after if errors.before is None else errors.before
-    return _compared(found, used, replace(errors.deviation, before_rms=before))
+    return Measurement(measured.samples, found, used, replace(errors.deviation, before_rms=before))
 
 
-def _compared(fresh: Calibration, active: Correction, on_samples: Deviation) -> DriftCheck:
-    found = drift(fresh, active.table, active.conditioning)
-    return DriftCheck(found, active, fresh, on_samples, _change(fresh, active.conditioning))
-
-
-def _change(fresh: Calibration, active: Conditioning) -> dict[str, float] | None:
+def conditioning_change(fresh: Calibration, active: Conditioning) -> dict[str, float] | None:
+    """None where there is no active conditioning."""
     if active.sine_gain == active.cosine_gain == 1.0 and not active.phase_error_rad:
         return None
     now = fit_ellipse(*fresh.tracks)

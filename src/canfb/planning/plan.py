@@ -216,8 +216,12 @@ class ResidualBudget:
     @cached_property
     def limit_cycles(self) -> float:
         """In force at the given speed: uncertain sample times widen a narrowed one."""
-        uncertain = WEIGHTS * self._cycles_per_s * self.known_uncertainty_s
-        return min(self.declared.residual_limit + uncertain, self.module.settings.widest_cycles)
+        return self.module.settings.limit_cycles(
+            self.module.cycles_per_revolution,
+            self.plan.sync_hz,
+            self.measured_noise_cycles,
+            self.plan.speed_rad_s,
+        )
 
     @cached_property
     def declared(self) -> Declared:
