@@ -249,7 +249,7 @@ def test_speeds_too_close_to_tell_are_refused(ratio: float) -> None:
 def test_a_speed_that_is_wrong_by_cycles_per_sample_does_not_fit(wrong: float) -> None:
     """Of three, one off by a cycle per millisecond: with a delay of 6 µs the line bends."""
     found = fundamentals((2541.0, 41_711.0, 125_041.0), 6e-6, 0.0, 0.0)
-    found[1] = replace(found[1], hertz=found[1].hertz + wrong)
+    found[1] = found[1]._replace(hertz=found[1].hertz + wrong)
     with pytest.raises(CalibrationError, match="speed right"):
         fit_path(found)
 

@@ -178,6 +178,11 @@ class ErrorAtSpeed:
     mean_after: float
     deviation: Deviation
 
+    @property
+    def compared(self) -> Deviation:
+        """With what was in force before, as far as the position was not lost then."""
+        return self.deviation if self.before is None else replace(self.deviation, before_rms=self.before)
+
 
 def errors_at(
     measured: SpeedSamples,
@@ -367,11 +372,8 @@ def measure_speeds(
             )
     over = OverSpeeds(found.path, before, after, errors)
     lowest = min(samples, key=lambda one: abs(one.hertz))
-    on_samples = over.near(0.0)
-    deviation = on_samples.deviation
-    if on_samples.before is not None:
-        deviation = replace(deviation, before_rms=on_samples.before)
-    return Measurement(lowest.samples, found.calibration, before.correction, deviation, over)
+    on_samples = over.near(0.0).compared
+    return Measurement(lowest.samples, found.calibration, before.correction, on_samples, over)
 
 
 def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) -> float:
@@ -407,8 +409,7 @@ def check_at_speed(
     progress(0.8)
     now = InForce(found.correction, active.corners)
     errors = errors_at(measured, active, now, NO_PATH, found.block_samples, settings.adc_bits)
-    before = errors.after if errors.before is None else errors.before
-    return Measurement(measured.samples, found, used, replace(errors.deviation, before_rms=before))
+    return Measurement(measured.samples, found, used, errors.compared)
 
 
 def conditioning_change(fresh: Calibration, active: Conditioning) -> dict[str, float] | None:

@@ -103,7 +103,7 @@ def deviation_of_phases(
     CalibrationError where too few blocks say anything.
     """
     check_clipped(record, np.where(np.isnan(phase), 0.0, phase))
-    position = record.positions(np.where(record.valid, phase, np.nan))
+    position = record.positions(phase)
     valid = record.valid & np.isfinite(position)
     speed = float(np.nanmedian(np.abs(np.diff(position))))
     slow = CYCLES_OF_BLOCK / max(speed, CYCLES_OF_BLOCK / LONGEST_BLOCK)

@@ -96,7 +96,8 @@ def _thinned(s: FloatArray, c: FloatArray) -> npt.NDArray[np.int64]:
             "Check the wiring of the tracks, and let the machine move",
             Reason.ELLIPSE,
         )
-    place = _places(*box.scaled(s, c))
+    column, row = (np.clip((one + 1.0) * 16.0, 0, 31).astype(np.int64) for one in box.scaled(s, c))
+    place = 32 * row + column
     counts = np.bincount(place)
     if np.sum(counts > max(1, len(s) // 2000)) < MIN_PLACES:
         raise CalibrationError(
@@ -109,12 +110,6 @@ def _thinned(s: FloatArray, c: FloatArray) -> npt.NDArray[np.int64]:
     every = 1 + counts // max(8, len(s) // SQUARES_OF_ELLIPSE * 2)
     rank = np.arange(len(s)) - first[place[order]]
     return np.sort(order[rank % every[place[order]] == 0])
-
-
-def _places(x: FloatArray, y: FloatArray) -> npt.NDArray[np.int64]:
-    column = np.clip((x + 1.0) * 16.0, 0, 31).astype(np.int64)
-    row = np.clip((y + 1.0) * 16.0, 0, 31).astype(np.int64)
-    return np.asarray(32 * row + column, np.int64)
 
 
 _Ellipse = tuple[FloatArray, FloatArray]  # centre, and Q^-1

@@ -313,8 +313,7 @@ def raw_phase_curve(waveform: Waveform, conditioning: Conditioning) -> FloatArra
 
     Raises CalibrationError ("monotonic") where raw phase does not determine the phase.
     """
-    s, c = conditioning.apply(*waveform.tracks(grid_phases()))
-    raw = np.unwrap(raw_phases(s, c), period=1.0)
+    raw = np.unwrap(raw_phases(*conditioning.apply(*waveform.tracks(grid_phases()))), period=1.0)
     if np.isnan(raw).any() or abs(raw[-1] - raw[0] - 1.0) > 1e-6 or np.diff(raw).min() <= 0.0:
         raise CalibrationError(
             "raw phase does not rise through the cycle: the tracks do not circle the origin once. "
@@ -340,8 +339,7 @@ def origin_of(raw_curve: FloatArray) -> float:
 
 
 def table_of(raw_curve: FloatArray, entries: int) -> CorrectionTable:
-    raw = np.arange(entries) / entries
-    return table_from_phases(phase_at_raw(raw_curve, raw) - origin_of(raw_curve))
+    return table_from_phases(phase_at_raw(raw_curve, np.arange(entries) / entries) - origin_of(raw_curve))
 
 
 def table_from_phases(phase: FloatArray) -> CorrectionTable:

@@ -281,9 +281,8 @@ def calibrate_from_zero_crossings(
     # A sample that is not usable keeps the phase before it, so the count goes on.
     last = np.maximum.accumulate(np.where(usable, np.arange(len(raw)), 0))
     angle = np.unwrap(raw[last], period=1.0)
-    seen = usable.astype(np.float64)
-    columns: list[FloatArray] = [record.time, s, angle, seen, record.sine, record.cosine, raw]
-    turned = [-columns[0][::-1], *(one[::-1] for one in columns[1:])]
+    columns = np.array([record.time, s, angle, usable, record.sine, record.cosine, raw])
+    turned = np.array([-columns[0], *columns[1:]])[:, ::-1]
     forward, back = (columns, turned) if angle[-1] >= angle[0] else (turned, columns)
     cycles = _Cycles.of(chosen, forward)
     agree = cycles.agreeing()
@@ -319,7 +318,7 @@ class _Cycles:
     counts: FloatArray
 
     @classmethod
-    def of(cls, conditioning: Conditioning, columns: list[FloatArray]) -> _Cycles:
+    def of(cls, conditioning: Conditioning, columns: FloatArray) -> _Cycles:
         time, sine, angle, seen, *counts, raw = columns
         first, last, times = _whole(time, sine, angle, seen > 0.0)
         length = last - first + 1

@@ -30,7 +30,7 @@ from canfb.calibration.path_fit import (
     fit_path,
     response,
 )
-from canfb.calibration.recording import NO_TIME, SECONDS_PER_TICK, Recording, recorded_tracks, recording
+from canfb.calibration.recording import NO_TIME, Recording, recorded_tracks, recording
 from canfb.calibration.result import (
     MOST_CHANGE_CYCLES,
     SIGNIFICANT,
@@ -47,6 +47,7 @@ from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.front_end import Corners
 from canfb.signal.phase import FloatArray
+from canfb.signal.sample import TICK_S
 
 # What of a change within one speed does not count: no more than two measurements differ by anyway.
 STEADY_RAD = ANGLE_REPEATS_RAD  # of the angle between the tracks, rms
@@ -260,8 +261,7 @@ def _fit(
 
 def _smooth(speed: FloatArray) -> FloatArray:
     half = min(SMOOTH_SAMPLES, len(speed)) // 2
-    ends = float(speed[: half + 1].mean()), float(speed[-half - 1 :].mean())
-    padded = np.concatenate([np.full(half, ends[0]), speed, np.full(half, ends[1])])
+    padded = np.pad(speed, half, "mean", stat_length=half + 1)
     return np.convolve(padded, np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid")
 
 
@@ -302,7 +302,7 @@ def tracks_of_job(
         ticks = np.frombuffer(times, np.int64)
         known = ticks != NO_TIME
         sine, cosine, turned_rad = sine[known], cosine[known], turned_rad[known]
-        time_s = ticks[known] * SECONDS_PER_TICK
+        time_s = ticks[known] * TICK_S
     if turned is not None:
         record = recording(sine, cosine, time_s, None, adc_bits, may_be_offset=True)
         cosine = np.where(np.isnan(cosine), np.nan, sampled_together(record, turned_rad))
@@ -328,9 +328,8 @@ def speeds(record: Recording, mean_cycles: float) -> FloatArray:
 
 
 def _steps(record: Recording) -> tuple[FloatArray, FloatArray]:
-    ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
-    angle = np.where(record.valid, angle_cycles(ellipse, record.sine, record.cosine), np.nan)
-    at = np.flatnonzero(record.valid)
+    ellipse, at = fit_ellipse(record.sine, record.cosine, record.valid), np.flatnonzero(record.valid)
+    angle = angle_cycles(ellipse, record.sine, record.cosine)
     place, time = record.positions(angle)[at], record.time[at]
     passed = np.diff(time)
     step = np.diff(place) / passed

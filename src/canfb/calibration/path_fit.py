@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -39,8 +40,7 @@ MOST_MISFIT = DETECTED_SIGMAS * AMPLITUDE_REPEATS
 BEYOND = 3.0  # standard deviations: a low-pass beyond them would have been detected
 
 
-@dataclass(frozen=True)
-class Fundamental:
+class Fundamental(NamedTuple):
     """The fundamentals of both tracks at one speed.
 
     hertz           cycles per second, with sign
@@ -165,14 +165,12 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
     """The path of these fundamentals. CalibrationError ("speed") where the speeds are too close together,
     or where no such path gives these tracks.
     """
-    f = np.array([one.hertz for one in found])
-    noise = np.array([one.noise for one in found])
+    f, sine, cosine, angle, noise = np.array(found).T
     check_apart(f, noise)
-    size = np.array([math.sqrt(one.sine * one.cosine) for one in found])
+    size, gain = np.sqrt(sine * cosine), np.log(cosine / sine)
     sigma = np.hypot(noise, AMPLITUDE_REPEATS)
     both = fit_low_pass(f, size, sigma)
     per_hz = np.array([both.per_hz, both.per_hz])
-    gain = np.log([one.cosine / one.sine for one in found])
     for _ in range(ROUNDS if both.is_detected else 0):
         pair, apart_sigma = _corners(f, gain, noise, both.per_hz)
         if abs(pair[1] - pair[0]) < APART_SIGMAS * apart_sigma:
@@ -185,7 +183,7 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
         each = np.prod(np.hypot(1.0, np.outer(pair, f)), axis=0)
         both = fit_low_pass(f, size * np.sqrt(each) / np.hypot(1.0, pair.mean() * f), sigma)
     ratio = np.outer(per_hz, f)
-    angle = np.unwrap([one.angle_rad for one in found]) - np.arctan(ratio[0]) + np.arctan(ratio[1])
+    angle = np.unwrap(angle) - np.arctan(ratio[0]) + np.arctan(ratio[1])
     weight = 1.0 / np.hypot(noise, ANGLE_REPEATS_RAD)
     turns = 2.0 * math.pi * f
     (delay_s, at_rest), covariance = np.polyfit(turns, angle, 1, w=weight, cov="unscaled")
@@ -202,11 +200,11 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
         )
     left = 1.0 / math.hypot(1.0, both.top_hz * per_hz[0])
     low_pass = replace(both, per_hz=float(per_hz[0]), left=left)
-    corner, cosine = (1.0 / float(one) if one else 0.0 for one in per_hz)
+    corner, of_cosine = (1.0 / float(one) if one else 0.0 for one in per_hz)
     return PathFit(
         float(delay_s) if abs(delay_s) > DETECTED_SIGMAS * delay_sigma_s else 0.0,
         delay_sigma_s,
-        Corners(corner, 0.0 if cosine == corner else cosine),
+        Corners(corner, 0.0 if of_cosine == corner else of_cosine),
         low_pass,
     )
 

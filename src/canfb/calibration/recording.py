@@ -36,7 +36,6 @@ BREAK_INTERVALS = 10.0
 DEAD = 0.1  # of the amplitude: less is no track, and its angle would be followed as a motion
 ADC_BITS = (12, 14, 16)
 UNEVEN = 1e-6
-SECONDS_PER_TICK = 1e-7  # sample times, 2000:05
 NO_TIME = -1
 CUBIC = 4
 SPARE = 2  # a block with fewer samples than coefficients and these says nothing about the tracks
@@ -132,8 +131,8 @@ class Recording:
     breaks: IntArray
 
     def positions(self, phase: FloatArray) -> FloatArray:
-        """:func:`positions` at these phases."""
-        return positions(phase, self.time, self.uneven, self.breaks)
+        """:func:`positions` by the phases of valid samples."""
+        return positions(np.where(self.valid, phase, np.nan), self.time, self.uneven, self.breaks)
 
     def cut(self, length: int, terms: int = CUBIC) -> Blocks:
         """Blocks of about ``length`` samples; none reaches across a break.
@@ -169,8 +168,8 @@ def recording(
     """Check the arguments of a reference measurement. ValueError for wrong ones, CalibrationError
     ("samples") for too few usable samples. The mark of a missed sample (2050:03) is not a sample.
     ``may_be_offset``: a conditioning will take the offset away."""
-    tracks = pair_of_tracks(sine, cosine, may_be_offset=may_be_offset)
-    s, c = (np.array(track, np.float64) for track in tracks)
+    both = pair_of_tracks(sine, cosine, may_be_offset=may_be_offset)
+    s, c = np.array(both, np.float64)
     missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS)
     s[missed] = c[missed] = np.nan
     usable = np.isfinite(s) & np.isfinite(c)

@@ -164,8 +164,8 @@ class ErrorCurve:
 
 
 def error_curve(position: FloatArray, before: FloatArray, after: FloatArray) -> ErrorCurve:
-    middle = (np.arange(BINS) + 0.5) / BINS
-    return ErrorCurve(middle, mean_in_bins(position, before), mean_in_bins(position, after))
+    each = (mean_in_bins(position, one) for one in (before, after))
+    return ErrorCurve((np.arange(BINS) + 0.5) / BINS, *each)
 
 
 TRACK_POINTS = 1024

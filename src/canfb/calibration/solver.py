@@ -108,7 +108,7 @@ class Solver:
 
     def solve(self, angle: FloatArray) -> Solution:
         """Tracks and motion from the ellipse's ``angle`` (cycles). CalibrationError if there are none."""
-        first = Start(self._positions(angle), None)
+        first = Start(self.record.positions(angle), None)
         seen = first.position[self.record.valid][::DISTANCE_SAMPLES]
         check_distance(coverage(angle[self.record.valid]), float(np.abs(np.diff(seen)).sum()))
         shape, lively = self._choose_shape(first, STIFF)
@@ -148,14 +148,11 @@ class Solver:
         circle[0, 2] = circle[1, 1] = self.amplitude_counts
         return information_loss(blocks, Waveform(FIRST_ORDERS, circle), blocks.smooth(position[blocks.index]))
 
-    def _positions(self, phase: FloatArray) -> FloatArray:
-        return self.record.positions(np.where(self.record.valid, phase, np.nan))
-
     def _start(self, angle: FloatArray, waveform: Waveform) -> Start:
         curve = self._curve(waveform)
         if curve is None:
-            return Start(self._positions(angle), None)
-        return Start(self._positions(phase_at_raw(curve, angle) % 1.0 % 1.0), waveform)
+            return Start(self.record.positions(angle), None)
+        return Start(self.record.positions(phase_at_raw(curve, angle) % 1.0 % 1.0), waveform)
 
     def _curve(self, waveform: Waveform) -> FloatArray | None:
         curve = np.unwrap(angle_cycles(self.ellipse, *waveform.tracks(grid_phases())), period=1.0)
@@ -227,9 +224,8 @@ class Solver:
         return fit
 
     def _only_significant(self, fit: JointFit) -> JointFit:
-        blocks = fit.blocks
-        fit = _with_orders(fit, significant_orders(fit))
-        return _again(fit, reject(blocks, fit))
+        few = _with_orders(fit, significant_orders(fit))
+        return _again(few, reject(fit.blocks, few))
 
 
 def _again(fit: JointFit, blocks: Blocks, rounds: int = 10) -> JointFit:

@@ -390,13 +390,10 @@ class ResidualBudget:
         return min(largest, PEAK * self.measured_noise_cycles) if self.has_noise_margin else largest
 
     @property
-    def _cycles_per_s(self) -> float:
-        return (self.plan.speed_rad_s or 0.0) * self.module.cycles_per_revolution / (2 * math.pi)
-
-    @property
     def instants_cycles(self) -> float:
         """Of the sampling instants in a residual."""
-        return WEIGHTS * self._cycles_per_s * self.uncertainty_s
+        cycles_per_s = (self.plan.speed_rad_s or 0.0) * self.module.cycles_per_revolution / (2 * math.pi)
+        return WEIGHTS * cycles_per_s * self.uncertainty_s
 
     def rest_cycles(self, instants_cycles: float) -> float:
         """All but the motion; without a table 4 x 2010:0C at least."""
