@@ -180,7 +180,7 @@ class ErrorAtSpeed:
 
     @property
     def compared(self) -> Deviation:
-        """With what was in force before, as far as the position was not lost then."""
+        """With what was in force, unless the position was lost then."""
         return self.deviation if self.before is None else replace(self.deviation, before_rms=self.before)
 
 
@@ -394,9 +394,7 @@ def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) 
 def check_at_speed(
     measured: SpeedSamples, active: InForce, settings: Settings, progress: Progress
 ) -> Measurement:
-    """With the conditioning that is active, of samples as they came, at any speed: the analog path that is
-    active is taken out.
-    """
+    """Of samples as they came, at any speed: the analog path that is active is taken out."""
     used = active.correction
     progress(0.1)
     found = measured_at_standstill(

@@ -290,8 +290,8 @@ FAR = 0.03
 
 
 def find_lock(sine: FloatArray, cosine: FloatArray) -> Fraction | None:
-    """Cycles per sample, but for a whole number, of tracks (ADC counts, NaN for a missed sample) that are
-    locked to it; None without a lock, or below 256 samples.
+    """Cycles per sample, less whole ones, of locked tracks (ADC counts, NaN for a missed sample); None
+    without a lock, or below 256 samples.
 
     Locked at p/q, each q-th sample lies at the same place; here for q up to 16, on windows of 256.
     """
