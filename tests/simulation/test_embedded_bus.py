@@ -23,7 +23,6 @@ from canfb.simulation.embedded_bus import (
     BackgroundTraffic,
     Drive,
     EmbeddedBus,
-    SyncDeviation,
     SyncProducer,
     SyncTiming,
     WatchedSyncProducer,
@@ -265,8 +264,8 @@ def test_one_sync_at_a_time_in_an_unbroken_rhythm(
 def test_a_deviation_fills_its_range_and_keeps_to_it(
     timing: SyncTiming, low: tuple[float, float], high: tuple[float, float], rms: float | None, late: float
 ) -> None:
-    deviation = SyncDeviation(timing, PERIOD_S)
-    off = [1e6 * deviation.next_s() for _ in range(COUNT)]
+    producer = SyncProducer(PERIOD_S, timing)
+    off = [1e6 * producer.deviation_s() for _ in range(COUNT)]
     assert low[0] - 1e-9 <= min(off) <= low[1]
     assert high[0] <= max(off) <= high[1] + 1e-9
     assert rms is None or statistics.pstdev(off) == pytest.approx(rms, rel=0.05)
@@ -278,8 +277,8 @@ def test_syncs_keep_their_order_whatever_the_jitter(
     jitter: float, rms: float, period_s: float, seed: int
 ) -> None:
     timing = SyncTiming(sync_jitter_us=jitter, sync_jitter_rms_us=rms, bus_load=1.0)
-    deviation = SyncDeviation(timing, period_s, seed)
-    times = [n * period_s + deviation.next_s() for n in range(50)]
+    producer = SyncProducer(period_s, timing, seed)
+    times = [n * period_s + producer.deviation_s() for n in range(50)]
     assert times == sorted(times)
 
 

@@ -144,7 +144,7 @@ def _motion(
     speed, acceleration, where = None, None, ""
     demand = _demand(simulation, config, rate_hz)
     if demand is not None:
-        speed = (demand.speed_cycles or 0.0) * rate_hz / config.cycles_per_revolution * 2.0 * math.pi
+        speed = demand.speed_cycles * rate_hz / config.cycles_per_revolution * 2.0 * math.pi
         acceleration, where = demand.acceleration_rad_s2, demand.what
     if options.rpm is not None:
         speed = options.rpm / RPM

@@ -62,28 +62,6 @@ class SyncTiming:
 REGULAR = SyncTiming()
 
 
-class SyncDeviation:
-    """Draws how far a SYNC is from its nominal time: at most 0.45 ``period_s``, so that they keep their
-    order.
-    """
-
-    def __init__(self, timing: SyncTiming, period_s: float, seed: int = 1) -> None:
-        self._timing = timing
-        self._rng = np.random.default_rng((seed, 0x80))
-        self._largest_s = LARGEST_PART * period_s
-        self.period_s = period_s / (1.0 + timing.sync_drift_ppm * 1e-6)  # The period in true time, seconds.
-
-    def next_s(self) -> float:
-        """Seconds by which the next SYNC goes out late (or, negative, early)."""
-        timing, rng = self._timing, self._rng
-        off_us = timing.sync_jitter_us * float(rng.uniform(-1.0, 1.0))
-        off_us += timing.sync_jitter_rms_us * max(-CUT_OFF, min(CUT_OFF, float(rng.normal())))
-        blocked = float(rng.uniform()) < timing.bus_load
-        bits = LONGEST_FRAME_BITS * float(rng.uniform())
-        off_s = off_us * 1e-6 + (bits / timing.bus_bit_rate if blocked else 0.0)
-        return max(-self._largest_s, min(self._largest_s, off_s))
-
-
 class SimulatedDevice:
     """A device that sends a frame at ``_next_s``, None: none; a subclass overrides what it does beyond."""
 
@@ -111,8 +89,9 @@ class SyncProducer(SimulatedDevice):
     def __init__(self, period_s: float, timing: SyncTiming = REGULAR, seed: int = 1) -> None:
         if not 0.0 < period_s < math.inf:
             raise ValueError(f"period_s must be positive, not {period_s!r}")
-        self.period_s = period_s
-        self._deviation = SyncDeviation(timing, period_s, seed)
+        self.period_s, self._timing = period_s, timing
+        self._true_s = period_s / (1.0 + timing.sync_drift_ppm * 1e-6)  # the period in true time
+        self._rng = np.random.default_rng((seed, 0x80))
 
     def start(self, now: float) -> list[Frame]:
         self._start_s, self._number = now, 0
@@ -124,10 +103,21 @@ class SyncProducer(SimulatedDevice):
         return Frame(cob.SYNC, b"")
 
     def _plan(self, now: float) -> None:
-        period_s = self._deviation.period_s
         # 1e-6: the rounding of times up to a day, in the shortest periods.
-        self._number = max(self._number, int((now - self._start_s) / period_s + 1e-6)) + 1
-        self._next_s = max(now, self._start_s + self._number * period_s + self._deviation.next_s())
+        self._number = max(self._number, int((now - self._start_s) / self._true_s + 1e-6)) + 1
+        self._next_s = max(now, self._start_s + self._number * self._true_s + self.deviation_s())
+
+    def deviation_s(self) -> float:
+        """By how much the next SYNC goes out late (or, negative, early), at most 0.45 periods: they keep
+        their order.
+        """
+        timing, rng, largest_s = self._timing, self._rng, LARGEST_PART * self.period_s
+        off_us = timing.sync_jitter_us * float(rng.uniform(-1.0, 1.0))
+        off_us += timing.sync_jitter_rms_us * max(-CUT_OFF, min(CUT_OFF, float(rng.normal())))
+        blocked = float(rng.uniform()) < timing.bus_load
+        bits = LONGEST_FRAME_BITS * float(rng.uniform())
+        off_s = off_us * 1e-6 + (bits / timing.bus_bit_rate if blocked else 0.0)
+        return max(-largest_s, min(largest_s, off_s))
 
 
 POSITION_PDO = struct.Struct("<IHH")  # 6004h, 2011:01 status word, 2011:02 residual

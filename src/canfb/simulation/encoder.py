@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -286,24 +286,19 @@ class Ripple(NamedTuple):
     frequency_hz: float
 
 
-@dataclass(frozen=True)
 class Motion:
     """Position over time from ``start_rpm`` through ``ramps``, then on at the last speed; with ripple."""
 
-    ramps: tuple[Ramp, ...]
-    ripples: tuple[Ripple, ...] = ()
-    start_rpm: float = 0.0
-    _curve: PiecewiseCubic = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        curve, at_s, speed = PiecewiseCubic(self.start_rpm / 60.0), 0.0, self.start_rpm / 60.0
+    def __init__(self, ramps: Iterable[Ramp], ripples: Iterable[Ripple] = (), start_rpm: float = 0.0) -> None:
+        self.ramps, self.ripples, self.start_rpm = tuple(ramps), tuple(ripples), start_rpm
+        self._curve = curve = PiecewiseCubic(start_rpm / 60.0)
+        at_s, speed = 0.0, start_rpm / 60.0
         for duration_s, end_rpm in self.ramps:
             end = end_rpm / 60.0
             if duration_s > 0.0:
                 curve.go_on(at_s, acceleration=(end - speed) / duration_s)
             at_s, speed = at_s + duration_s, end
             curve.go_on(at_s, speed)
-        object.__setattr__(self, "_curve", curve)
 
     def revolutions(self, time_s: float) -> float:
         return self._curve.state(time_s)[0] + float(self._swing(time_s))

@@ -48,7 +48,7 @@ class MotionDemand:
 
     what                  what moves, for people
     rate_hz               samples per second
-    speed_cycles          largest speed, cycles per sample; None where it is not known
+    speed_cycles          largest speed, cycles per sample
     acceleration_rad_s2   largest acceleration
     start_cycles          speed at the first sample, cycles per sample
     advice                what to change but the rate, empty for nothing
@@ -59,7 +59,7 @@ class MotionDemand:
     what: str
     module: ChainConfig
     rate_hz: float
-    speed_cycles: float | None
+    speed_cycles: float
     acceleration_rad_s2: float
     start_cycles: float = 0.0
     advice: str = ""
@@ -95,9 +95,9 @@ class MotionDemand:
         return f"at {self.sync_hz:g} Hz{several}"
 
     def describe(self) -> str:
-        speed = "" if self.speed_cycles is None else f"up to {self.speed_cycles:.3g} cycles per sample, "
         return (
-            f"{self.what}: {speed}acceleration up to {self.acceleration_rad_s2:.3g} rad/s^2, "
+            f"{self.what}: up to {self.speed_cycles:.3g} cycles per sample, "
+            f"acceleration up to {self.acceleration_rad_s2:.3g} rad/s^2, "
             f"the module follows {self.allowed_rad_s2:.3g} {self._at_rate} (eq. 10)"
         )
 

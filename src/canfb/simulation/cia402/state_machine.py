@@ -84,19 +84,21 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
 }
 
 
+# The command of a controlword: that of the first of these bits that is not set.
+COMMANDS = {
+    Control.ENABLE_VOLTAGE: Command.DISABLE_VOLTAGE,
+    Control.QUICK_STOP: Command.QUICK_STOP,
+    Control.SWITCH_ON: Command.SHUTDOWN,
+    Control.ENABLE_OPERATION: Command.SWITCH_ON,
+}
+
+
 def command_of(controlword: int, before: int = 0) -> Command:
     """What a controlword asks for, given the one ``before`` it: a fault reset is a rising edge of bit 7."""
     if controlword & Control.FAULT_RESET:
         return Command.NONE if before & Control.FAULT_RESET else Command.FAULT_RESET
-    if not controlword & Control.ENABLE_VOLTAGE:
-        return Command.DISABLE_VOLTAGE
-    if not controlword & Control.QUICK_STOP:
-        return Command.QUICK_STOP
-    if not controlword & Control.SWITCH_ON:
-        return Command.SHUTDOWN
-    if controlword & Control.ENABLE_OPERATION:
-        return Command.ENABLE_OPERATION
-    return Command.SWITCH_ON
+    missing = (command for bit, command in COMMANDS.items() if not controlword & bit)
+    return next(missing, Command.ENABLE_OPERATION)
 
 
 class StateMachine:
