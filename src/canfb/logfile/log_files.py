@@ -1,7 +1,7 @@
 """Bus logs as files: their suffixes, how they are opened, what is counted while they are read; the readers of
 python-can for other formats than that of candump, and what they do not do themselves.
 
-A reader of python-can ends at the first line that it cannot read; it gets lines one by one here
+A reader of python-can ends at the first line that it cannot read; it gets lines in blocks here
 (:class:`_Lines`). Its known bugs (https://github.com/hardbyte/python-can), and where they are worked round:
 
     #1584, #1581   BLF: an object with length 0 is read again and again     _BlfReader
@@ -16,11 +16,13 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import io
 import re
 import zlib
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
@@ -109,7 +111,7 @@ class LogCounters:
 
     def damaged(self, line: int) -> None:
         self.damaged_lines += 1
-        self.first_damaged_line = self.first_damaged_line or line
+        self.first_damaged_line = min(line, self.first_damaged_line or line)
 
     def lines_left_out(self) -> list[str]:
         damaged, empty = self.damaged_lines, self.empty_lines
@@ -165,6 +167,7 @@ def _names(channels: Collection[str]) -> str:
 
 
 LONGEST_LINE = 1 << 16  # bytes
+BLOCK_LINES = 256
 BLF_OBJECT, BLF_OBJECT_PLACES = b"LOBJ", 8  # an object begins in the first 4 bytes behind the one before
 BLF_HEAD, BLF_LONGEST = 16, 1 << 24  # bytes: of an object's head, of an object
 BLF_CONTAINER, BLF_ZLIB = 10, b"\2"
@@ -185,102 +188,79 @@ def messages_of(path: Path, suffix: str, counters: LogCounters) -> Iterator[can.
 
 
 class _Lines:
-    """The lines of a text log, for a reader of python-can.
+    """The frames of a text log: a block of lines at once, or line by line where one gives no whole frame.
 
-    ``frame`` says which should give one, ``cut`` which have lost their end.
+    ``frame`` says which lines should give one, ``cut`` which have lost their end; ``head`` comes before.
     """
 
     reader: type[Any]
     frame = re.compile("")
     cut = re.compile("(?!)")
-    first = ""  # a line that the reader does not look at
+    head = ""
     has_words_of_bytes = True  # each byte stands by itself
 
     def __init__(self, file: Any, counters: LogCounters, number: int = 0) -> None:
         self._file, self._counters = file, counters
         self._number = number  # of the line, from 1
-        self._pending = False
         self._failure: Exception | None = None
-        self._header = self.first
 
     def messages(self) -> Iterator[can.Message]:
-        reader = self.opened()
-        while True:
-            number = self._number
-            try:
-                for message in reader:
-                    if self._is_whole(message):
-                        self._pending = False
-                        yield message
-                break
-            except Exception:  # a line that it cannot read
-                if number == self._number:
-                    raise
-                self._pending = True
-                self._header = self.first
-        self._count_damaged()
+        lines = self._lines()
+        while block := list(islice(lines, BLOCK_LINES)):
+            for (number, _), message in zip(block, self._read([line for _, line in block]), strict=True):
+                if message is None:
+                    self._counters.damaged(number)
+                else:
+                    yield message
         if self._failure is not None:
             raise self._failure
 
-    def opened(self) -> Any:
-        return self.reader(self)
-
-    def close(self) -> None:
-        """The reader calls it."""
-
-    def __iter__(self) -> Iterator[str]:
-        return self
-
-    def __next__(self) -> str:
-        self._count_damaged()
-        if self._header:
-            header, self._header = self._header, ""
-            return header
-        while True:
-            line = self._next_line()
-            if line is None:
-                raise StopIteration
-            self._line = line
-            kept = self.kept(line)
-            if kept is not None:
-                self._pending = bool(self.frame.match(line))
-                return kept
-            if self.cut.fullmatch(line.strip()):
-                self._counters.damaged(self._number)
+    def _lines(self) -> Iterator[tuple[int, str]]:
+        """Those that should give a frame, numbered."""
+        try:
+            while data := self._file.readline(LONGEST_LINE):
+                self._number += 1
+                line = _decoded(data)
+                kept = self.kept(line)
+                if kept is not None:
+                    yield self._number, kept
+                elif self.cut.fullmatch(line.strip()):
+                    self._counters.damaged(self._number)
+        except UNREADABLE as error:  # what came before it is read first
+            self._failure = error
 
     def kept(self, line: str) -> str | None:
         return line if self.frame.match(line) else None
 
-    def _next_line(self) -> str | None:
+    def _read(self, lines: Sequence[str]) -> Sequence[can.Message | None]:
+        """None for a damaged line."""
         try:
-            data = self._file.readline(LONGEST_LINE)
-        except UNREADABLE as error:
-            self._failure, data = error, b""
-        if not data:
-            return None
-        self._number += 1
-        try:
-            text = str(data, "utf-8")
-        except UnicodeDecodeError:
-            text = str(data, "cp1252", "replace")
-        return text.lstrip("\ufeff")
+            messages = list(self.reader(io.StringIO(self.head + "".join(lines))))
+        except Exception:  # a line that it cannot read
+            messages = []
+        if len(messages) == len(lines) and all(map(self._is_whole, messages, lines)):
+            return messages
+        return [self._read([line])[0] for line in lines] if len(lines) > 1 else [None]
 
-    def _count_damaged(self) -> None:
-        if self._pending:
-            self._counters.damaged(self._number)
-        self._pending = False
-
-    def _is_whole(self, message: can.Message) -> bool:
-        """Whether the frame has as many bytes as its line says, the last one with both digits."""
+    def _is_whole(self, message: can.Message, line: str) -> bool:
+        """As many bytes as the line says, the last one with both digits."""
         if message.is_error_frame or message.is_fd or message.is_remote_frame:
             return True
         length = len(message.data)
         return length == message.dlc and not (
-            self.has_words_of_bytes and length > 0 and self.is_cut_in_byte(self._line, length)
+            self.has_words_of_bytes and length > 0 and self.is_cut_in_byte(line, length)
         )
 
     def is_cut_in_byte(self, line: str, length: int) -> bool:
         return len(line.rsplit(None, 1)[-1]) == 1
+
+
+def _decoded(line: bytes) -> str:
+    try:
+        text = str(line, "utf-8")
+    except UnicodeDecodeError:
+        text = str(line, "cp1252", "replace")
+    return text.lstrip("\ufeff")
 
 
 class _AscLines(_Lines):
@@ -289,29 +269,17 @@ class _AscLines(_Lines):
     reader = can.ASCReader
     frame = re.compile(r"\s*\d+\.\d+\s+(\d+\s+(\w+\s+(Tx|Rx)\s|ErrorFrame)|CANFD\s+\d+\s+(Rx|Tx)\s)", re.I)
     cut = re.compile(r"\d+(\.\d*(\s+(\d+(\s+[0-9A-Fa-f]+x?(\s+[RT]x?)?)?)?)?)?")
-    first = "internal events logged\n"
     header = re.compile(r"\s*base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?", re.I)
     event = re.compile(r"\s*(\d+\.\d+)(\s.*)", re.S)
+    head = "base hex\ninternal events logged\n"
 
     _is_relative, _time_s, _base = False, 0.0, "hex"
-    _waiting: str | None = None
-
-    def opened(self) -> Any:
-        while (line := super()._next_line()) is not None:
-            if found := self.header.match(line):
-                self._base = found[1].lower()
-                self._is_relative = (found[2] or "").lower() == "relative"
-            if self.event.match(line):
-                self._waiting = line
-                break
-        return can.ASCReader(self, base=self._base)  # type: ignore[arg-type]
-
-    def _next_line(self) -> str | None:
-        line, self._waiting = self._waiting, None
-        return line if line is not None else super()._next_line()
 
     def kept(self, line: str) -> str | None:
-        if self._is_relative and (found := self.event.match(line)):
+        if found := self.header.match(line):
+            self._base, self._is_relative = found[1].lower(), (found[2] or "").lower() == "relative"
+            self.head = f"base {self._base}\ninternal events logged\n"
+        elif self._is_relative and (found := self.event.match(line)):
             self._time_s += float(found[1])
             line = f"{self._time_s:.9f}{found[2]}"
         return super().kept(line)
@@ -334,10 +302,11 @@ class _TrcLines(_Lines):
 
     def kept(self, line: str) -> str | None:
         text = line.strip()
-        if text.startswith(";$STARTTIME"):
-            found = self.start.match(text)
-            return None if found is None else f";$STARTTIME={found[1]}.{found[2] or 0}\n"
-        return line if text.startswith(";$") or self.frame.match(line) else None
+        if found := self.start.match(text):
+            text = f";$STARTTIME={found[1]}.{found[2] or 0}"
+        if text.startswith(";$") and (found or not text.startswith(";$STARTTIME")):
+            self.head += f"{text}\n"
+        return super().kept(line)
 
 
 class CandumpLines(_Lines):
@@ -365,7 +334,7 @@ class _CsvLines(_Lines):
     reader = can.CSVReader
     has_words_of_bytes = False
     frame = re.compile(r"(?!\s*(timestamp|$))")
-    first = "timestamp\n"
+    head = "timestamp\n"
 
 
 TEXT: dict[str, type[_Lines]] = {".asc": _AscLines, ".trc": _TrcLines, ".csv": _CsvLines}
