@@ -104,7 +104,7 @@ def test_real_values_and_bits() -> None:
 
 
 def scanned(bench: Bench, seconds: float = 0.3) -> dict[int, FoundNode]:
-    return {one.node_id: one for one in scan(EmbeddedMaster(bench.bus), seconds)}
+    return {one.node: one for one in scan(EmbeddedMaster(bench.bus), seconds)}
 
 
 def test_all_nodes_with_state_and_identity_and_nothing_is_written() -> None:

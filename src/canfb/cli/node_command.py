@@ -94,7 +94,7 @@ def reset(options: argparse.Namespace) -> int:
     command = NmtCommand.RESET_COMMUNICATION if options.communication else NmtCommand.RESET_NODE
     with node_options.master_of(options) as master:
         if chosen == [EVERYBODY]:
-            chosen = [one.node_id for one in scan(master, SCAN_S)]
+            chosen = [one.node for one in scan(master, SCAN_S)]
         done = reset_nodes(master, chosen, command, force=options.force)
     lines = [f"node {one['node']} ({one['node']:02X}h): reset" for one in done]
     if len(done) == 1 and done[0]["position"]:

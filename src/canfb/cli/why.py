@@ -107,7 +107,7 @@ def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> 
         if not chosen:
             found = scan(master, options.seconds)
             parts["bus"]["found"] = [one.figures() for one in found]
-            chosen = [one.node_id for one in found]
+            chosen = [one.node for one in found]
         parts["nodes"] = [node_facts(master, node_id, known) for node_id in chosen]
 
 

@@ -46,7 +46,7 @@ REQUEST = struct.pack("<BHB4x", 0x40, *od.DEVICE_TYPE)
 class FoundNode:
     """None: not known."""
 
-    node_id: int
+    node: int
     state: str | None
     name: str | None = None
     device_type: int | None = None
@@ -56,11 +56,10 @@ class FoundNode:
     serial_number: int | None = None
 
     def figures(self) -> dict[str, Any]:
-        figures = asdict(self)
-        return {"node": figures.pop("node_id"), **figures}
+        return asdict(self)
 
     def line(self) -> str:
-        head = f"{self.node_id:3} ({self.node_id:02X}h)  {self.state or 'state not known':15}"
+        head = f"{self.node:3} ({self.node:02X}h)  {self.state or 'state not known':15}"
         vendor, revision = self.vendor_id, self.revision or 0
         parts = those(
             (self.device_type is None, "answers no SDO"),
@@ -240,7 +239,7 @@ class FrameWords:
 
 def learn_by_sdo(words: FrameWords, master: Master, nodes: Iterable[int]) -> set[int]:
     known = set()
-    for node in nodes or [one.node_id for one in scan(master, SCAN_S) if one.device_type]:
+    for node in nodes or [one.node for one in scan(master, SCAN_S) if one.device_type]:
         read = NodeAccess(master, node, "module").read_known
         with contextlib.suppress(CommissioningError):
             if read(od.TABLE_ACTIVE_CRC) is not None:

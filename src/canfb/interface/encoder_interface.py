@@ -209,7 +209,6 @@ class FastRecorder:
         self._first_s = 0.0  # time of the machine
         self._kept = 0
         self._rate_hz = 1.0
-        self._blocks: list[bytes] = []
 
     @property
     def is_recording(self) -> bool:
@@ -224,15 +223,11 @@ class FastRecorder:
         return min(int(passed * self._rate_hz + 1e-6) + 1, int(self._capacity.value))
 
     def to_bytes(self) -> bytes:
+        """Of whole blocks, so that the noise does not depend on when it is read."""
         count = self.count
-        whole, rest = divmod(count, BLOCK_SAMPLES)
-        while len(self._blocks) < whole:
-            self._blocks.append(self._block(len(self._blocks)))
-        tail = self._block(whole)[: 4 * rest] if rest else b""
-        return b"".join((*self._blocks[:whole], tail))
+        return b"".join(map(self._block, range(-(-count // BLOCK_SAMPLES))))[: 4 * count]
 
     def _block(self, number: int) -> bytes:
-        """Whole blocks only, so that the noise does not depend on when it is read."""
         if self._source is None:
             return b""
         places = np.arange(number * BLOCK_SAMPLES, (number + 1) * BLOCK_SAMPLES)

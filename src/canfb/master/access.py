@@ -207,13 +207,6 @@ class NodeAccess:
             "writing", index, subindex, lambda client, block: _store(client, index, subindex, data, block)
         )
 
-    def answers(self) -> bool:
-        try:
-            self.read_known(od.DEVICE_TYPE)
-        except CommissioningError:
-            return False
-        return True
-
     def _by_blocks(
         self, doing: str, index: int, subindex: int, act: Callable[[Client, bool], bytes]
     ) -> bytes:

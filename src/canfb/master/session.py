@@ -296,7 +296,7 @@ def agreed_layout(module: NodeAccess, interface: NodeAccess) -> PdoLayout:
             f"{module.name} has no valid RPDO with both tracks (2000:01, 2000:02): map and enable one; for a "
             "module with its own ADC: --source recording --recorder module"
         )
-    if not interface.answers():
+    if interface.integer_if_there(od.DEVICE_TYPE, "I") is None:
         if taken.sender not in (None, interface.node_id):
             raise CommissioningError(
                 f"{interface.name} does not answer, and {module.name} receives its samples from node "
