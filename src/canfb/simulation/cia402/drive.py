@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 
 from canfb import objects as od
@@ -22,6 +23,7 @@ from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, Command,
 EDS = "drive"
 POSITION = (0x60E4, 1)
 COAST, QUICK_STOP_RAMP = 0, 2  # 605Eh
+ABORT_CONNECTION = {1: Command.FAIL, 2: Command.DISABLE_VOLTAGE, 3: Command.QUICK_STOP}  # 6007h
 U32 = 0xFFFFFFFF
 G_CM2_PER_KG_M2 = 1e7
 STOP_TIMEOUT_S = 0.5  # After a ramp the shaft has this time to come to rest; then the power goes off.
@@ -45,7 +47,7 @@ class ServoDrive(MachineNode):
         self._machine = StateMachine()
         self._interval = SyncInterval()
         self._watched_from_s = 0.0
-        self._stop_by_s: float | None = None
+        self._stop_by_s = math.inf
         self._shown_error = 0
         self._rpdo: int | None = None
         self._events: list[int] = []
@@ -156,7 +158,7 @@ class ServoDrive(MachineNode):
         self._show()
         if ramp and powered:
             self.axis.ramp_down(from_actual=True)
-            self._stop_by_s = None
+            self._stop_by_s = math.inf
         else:
             self._switch(Command.RAMP_DONE)
 
@@ -170,11 +172,9 @@ class ServoDrive(MachineNode):
     def _end_stop(self) -> None:
         if self.power is State.OPERATION_ENABLED or not self.axis.ramp_is_over:
             return
-        if self._stop_by_s is None:
-            self._stop_by_s = self.received_s + STOP_TIMEOUT_S
-        if not self.axis.stands_still and self.received_s < self._stop_by_s:
-            return
-        self._switch(Command.RAMP_DONE)
+        self._stop_by_s = min(self._stop_by_s, self.received_s + STOP_TIMEOUT_S)
+        if self.axis.stands_still or self.received_s >= self._stop_by_s:
+            self._switch(Command.RAMP_DONE)
 
     def _controlled(self) -> None:
         before = self.power
@@ -183,8 +183,7 @@ class ServoDrive(MachineNode):
             self._switch(command)
         if before is State.FAULT and self.power is not State.FAULT:
             for error in DriveError:
-                if error is not DriveError.NONE:
-                    self.clear_emergency(error)
+                self.clear_emergency(error)
             self._error.value = int(DriveError.NONE)
         self._supervise()
         self._show()
@@ -197,7 +196,7 @@ class ServoDrive(MachineNode):
         if after in SWITCHED_ON and before not in SWITCHED_ON:
             self._watched_from_s = self.now
         if after is State.QUICK_STOP_ACTIVE:
-            self._stop_by_s = None
+            self._stop_by_s = math.inf
             self.axis.ramp_down()
         elif after is State.OPERATION_ENABLED:
             self.axis.start()
@@ -229,15 +228,13 @@ class ServoDrive(MachineNode):
         self._show()
 
     def _abort_connection(self, error: DriveError) -> None:
-        option = self._abort_option.value
         if self.power not in SWITCHED_ON:
             return
-        if option == 1:
+        command = ABORT_CONNECTION.get(self._abort_option.value, Command.NONE)
+        if command is Command.FAIL:
             self._fail(error, announced=error is DriveError.HEARTBEAT)
-        elif option == 2:
-            self._switch(Command.DISABLE_VOLTAGE)
-        elif option == 3:
-            self._switch(Command.QUICK_STOP)
+        else:
+            self._switch(command)
 
     def reset_done(self, communication_only: bool, now: float) -> None:
         """Power-on of the drive; after a reset of the communication a fault is announced again."""
