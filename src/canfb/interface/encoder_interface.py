@@ -194,9 +194,13 @@ class FastRecorder:
         self._command = command = dictionary.entry(*od.RECORDING_COMMAND)
         command.on_check = refuse_if(lambda value: value not in COMMANDS)
         command.on_written = self._obey
-        command.on_read = lambda: int(self.is_recording)
-        dictionary.entry(*od.RECORDING_RECORDED).on_read = lambda: self.count
-        dictionary.entry(*od.RECORDING_SAMPLES).on_read = self.to_bytes
+        dictionary.read_live(
+            {
+                od.RECORDING_COMMAND: lambda: int(self.is_recording),
+                od.RECORDING_RECORDED: lambda: self.count,
+                od.RECORDING_SAMPLES: self.to_bytes,
+            }
+        )
         self._rate, self._capacity = (
             dictionary.entry(*place) for place in (od.RECORDING_RATE, od.RECORDING_CAPACITY)
         )
@@ -286,9 +290,8 @@ class EncoderInterface(MachineNode):
     ) -> None:
         integer_in("serial_number", serial_number, 0, 0xFFFFFFFF)
         dictionary = Dictionary.load(eds_path(EDS), node_id)
-        serial = dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)
-        serial.default = serial.value = serial_number
-        for place, value in _adc_pdos(node_id, times, samples_per_sync).items():
+        own = {od.IDENTITY_SERIAL_NUMBER: serial_number, **_adc_pdos(node_id, times, samples_per_sync)}
+        for place, value in own.items():
             parameter = dictionary.entry(*place)
             parameter.default = parameter.value = value
         super().__init__(

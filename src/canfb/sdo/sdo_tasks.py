@@ -169,10 +169,8 @@ def in_words(product: str, place: Place, value: object) -> str:
         return str(Reason.of_number(value).text) if value else ""
     if kind is None or not isinstance(value, int):
         return ""
-    if kind is od.LossCause:
-        return next((one.text for one in od.LossCause if one == value), "")
     if issubclass(kind, IntEnum):
-        return next((_spoken(one.name) for one in kind if one == value), "")
+        return next((getattr(one, "text", _spoken(one.name)) for one in kind if one == value), "")
     names = {one.value: _spoken(str(one.name)) for one in kind}
     bits = [bit for bit in range(value.bit_length()) if value >> bit & 1]
     return ", ".join(names.get(1 << bit, f"bit {bit}") for bit in bits) or "nothing set"

@@ -38,6 +38,7 @@ from canfb.simulation.encoder import MotionSource, StoppableMotion
 from canfb.simulation.scenario import MotionConfig, SimulationConfig
 from canfb.sources.protocol import Source
 from canfb.sources.recording_source import RecordingLayout, RecordingSource, open_recording
+from canfb.sources.sample_files import with_gaps
 
 HALF_CYCLE = 0.5  # at the start the count takes the shortest step
 
@@ -182,8 +183,6 @@ def rounded_up(rate_hz: float) -> str:
 
 MOST_RPM = (0x6080, 0)
 
-MISSED = -32768  # in both tracks, as in 2050:03
-
 SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 1e-6, 10.0
 
 
@@ -216,9 +215,7 @@ class SampleRecorder(SimulatedDevice):
         return len(self._counts) // 2
 
     def tracks(self) -> tuple[FloatArray, FloatArray]:
-        pairs = np.array(self._counts, np.float64).reshape(-1, 2)
-        pairs[(pairs == MISSED).all(axis=1)] = np.nan
-        return pairs[:, 0].copy(), pairs[:, 1].copy()
+        return with_gaps(*np.array(self._counts).reshape(-1, 2).T)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         if frame.can_id == cob.SYNC and not frame.rtr:
@@ -226,7 +223,7 @@ class SampleRecorder(SimulatedDevice):
                 self._samples = self._interface.samples
                 self._counts.extend(int(channel.value) for channel in self._channels)
             elif self._samples and not self._interface.ended:
-                self._counts.extend((MISSED, MISSED))
+                self._counts.extend((od.MISSED_COUNTS, od.MISSED_COUNTS))
         return []
 
 

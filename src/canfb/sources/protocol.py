@@ -162,19 +162,11 @@ ENDING = "_source"
 
 def source_kinds() -> dict[str, type[SourceConfig]]:
     """The class for each word after ``kind:``, in alphabetical order."""
-    names = (name for _, name, _ in pkgutil.iter_modules(canfb.sources.__path__) if name.endswith(ENDING))
-    found = (_kind_of(name) for name in names)
+    for _, name, _ in pkgutil.iter_modules(canfb.sources.__path__):
+        if name.endswith(ENDING):
+            importlib.import_module(f"{canfb.sources.__name__}.{name}")
+    found = (kind for kind in SourceConfig.__subclasses__() if kind.__module__.endswith(ENDING))
     return {kind.kind: kind for kind in sorted(found, key=lambda kind: kind.kind)}
-
-
-def _kind_of(name: str) -> type[SourceConfig]:
-    module = importlib.import_module(f"{canfb.sources.__name__}.{name}")
-    (kind,) = (
-        thing
-        for thing in vars(module).values()
-        if isinstance(thing, type) and issubclass(thing, SourceConfig) and thing.__module__ == module.__name__
-    )
-    return kind
 
 
 SETTLED_S = 1.0  # without a failure, before a source is said to work again
