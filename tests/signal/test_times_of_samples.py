@@ -49,13 +49,20 @@ class Clock:
         return got
 
 
-def test_a_time_is_right_by_its_call_before_there_is_a_grid() -> None:
-    """Over parts of an interval: its unit has changed meanwhile."""
-    times, speeds = SampleTimes(), (5.0, 0.3, 5.0, 0.3, 0.3, 0.3)
-    sent, counted = (30, 30, 40, 53, 67, 80), (1.0, 1.0, 2.6, 1.0, 1.6, 2.6)
-    calls = zip(sent, counted, (1.19, 2.96, 4.0, 6.46, 7.0, 8.0), speeds, strict=True)
-    got = [times.elapsed(1000 * at, n, None, call * 1e-3, speed) for at, n, call, speed in calls]
-    assert (got[-2], got[-1]) == (REPEATED, pytest.approx(2.7 / 1.15))
+def test_a_long_first_interval_is_not_the_pace() -> None:
+    """Its producer stalled, and no receive time says so; the later ones are even."""
+    times, counted = SampleTimes(), 1.0
+    for at in (0, 28, 38, 48, 58, 68, 78, 88, 98):
+        got = times.elapsed(1000 * at, counted, None, at * 1e-4)
+        counted = 1.0 if got > 0.0 else counted + 1.0
+    assert (got, times.grid.period) == pytest.approx((1.0, 1e4))
+
+
+def test_the_first_syncs_of_a_paced_interface_may_come_at_any_time() -> None:
+    """Its clock goes on by a period with each SYNC, as that of canfb simulate --pace sync."""
+    times, heard_s = SampleTimes(), (0.0, 0.25, 0.5, 0.75, 0.76, 0.77, 0.78)
+    got = [times.elapsed(100_000 * n, 1.0, at + 5e-4, at) for n, at in enumerate(heard_s)]
+    assert got == pytest.approx([1.0] * len(heard_s))
 
 
 @knowledge

@@ -184,8 +184,8 @@ class SampleTimes:
                 and error_s < unsure_s
                 and (apart_s is None or grid.deviation * TICK_S < self._heard_s)
             )
-        kind = REPEATED if heard_apart_s is None and places < counted - 0.5 else SUSPECT
-        if not right or (by_call and kind == REPEATED and grid.period):
+        kind = REPEATED if heard_apart_s is None and grid.period and places < counted - 0.5 else SUSPECT
+        if not right or (by_call and kind == REPEATED):
             return self._refused(
                 time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
             )
