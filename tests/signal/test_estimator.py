@@ -146,6 +146,17 @@ def test_an_absolute_value_ends_a_loss() -> None:
     assert track.cycles == 7 + math.floor(0.3 + 0.2 * 16)
 
 
+def test_a_speed_from_outside_is_no_count_to_start_from() -> None:
+    """Uneven times confirm the speed that a witness gave; how far it went while lost they do not know."""
+    estimator, position = started(speed=0.0), 0.3
+    estimator.timed = True
+    estimator.lose(LossCause.TIME, starts=False)
+    estimator.found(0, 5)
+    for elapsed in np.random.default_rng(1).uniform(0.8, 1.2, 60).tolist():
+        position += 5.3 * elapsed
+        assert estimator.good(position % 1.0, elapsed)[1] & LOST
+
+
 def test_a_count_that_was_found_leaves_the_speed_and_the_places() -> None:
     estimator = started()
     samples = len(estimator.places)

@@ -262,7 +262,8 @@ class Estimator:
     def _start_places(self) -> list[Place]:
         places, doubt = self.places, self._doubt
         in_doubt = doubt is not None and not doubt.is_without_samples
-        if self._virtual is None or self._known or in_doubt or not 0 < len(places) <= START_SAMPLES:
+        assumed = self._virtual is not None and not (self._known or self.lost)
+        if not assumed or in_doubt or not 0 < len(places) <= START_SAMPLES:
             return []
         return list(places)[places[0] is self._virtual :]
 
