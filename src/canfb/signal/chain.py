@@ -343,14 +343,15 @@ class SignalChain:
         between: list[Feedback] = []
         pulse = None
         for one in samples[:-1]:
-            before = stages.place
+            follows = stages.place is not None
             extras = Extras(one._replace(zero_pulse=None), next_one=next_one, newest=False)
             feedback = stages.take(one.sine, one.cosine, one.elapsed, timed, extras)
             after = stages.place
             self.reference.passed(one.elapsed, after is not None)
             if after is None or (between and (between[-1].status ^ feedback.status) & (VALID | LOST)):
                 pulse = None
-            elif one.zero_pulse is not None and before is not None:
+            elif one.zero_pulse is not None and follows:
+                before = stages.estimator.tracker.places[0]
                 pulse = self.reference.pulse(before, after, one.zero_pulse, stages.clock, one.elapsed)
             between.append(feedback)
         newest = samples[-1]

@@ -80,13 +80,13 @@ class Reference:
         """
         elapsed = elapsed + self._passed if elapsed and self._passed >= 0.0 else 0.0
         self._passed = 0.0
-        jump, pair = 0, None
+        jump, pair, recovered = 0, None, self.recovered
         if sample.coarse_sine is not None and sample.coarse_cosine is not None:
             self._time += elapsed
             angle = self.coarse.angle(sample.coarse_sine, sample.coarse_cosine)
             pair = self.coarse.pair(angle, track.cycles, track.phase, self._time)
             bits, jump = self._hear_coarse(pair, bits, elapsed > 0.0)
-        if pulse is not None and jump == 0:
+        if pulse is not None and jump == 0 and self.recovered == recovered:  # else it is of the speed before
             bits, jump = self._pulse(pulse, bits, pair)
         if self.in_doubt and bits & VALID:
             bits = bits & ~VALID | COASTING
