@@ -251,14 +251,14 @@ def test_validity_ends_without_sync(periods: int, until: float) -> None:
 def learned(delay_s: float) -> tuple[Answers, Syncs]:
     producer, answers = Producer(), Answers()
     for _ in range(200):
-        assert answers.place(delay_s, producer.syncs.grid) == 0
+        assert answers.place(delay_s, producer.syncs) == 0
     return answers, producer.syncs
 
 
 @given(delay=st.floats(0.05, 0.6), late=st.floats(0.0, 0.2), places=st.integers(0, 5))
 def test_a_pdo_answers_the_sync_the_least_delay_before(delay: float, late: float, places: int) -> None:
     answers, syncs = learned(delay * T)
-    assert answers.place((delay + places + late) * T, syncs.grid) == places
+    assert answers.place((delay + places + late) * T, syncs) == places
 
 
 @given(delay=st.floats(0.05, 0.5), late=st.floats(0.6, 0.75))
@@ -266,10 +266,10 @@ def test_a_pdo_that_fits_none_is_not_used_until_it_is_the_usual_one(delay: float
     (answers, syncs), moved = learned(delay * T), []
     for n in range(60, 60 + ROW):
         syncs.sync(BEGIN + n * T, True, None)
-        assert {answers.place((delay + late) * T, syncs.grid) for _ in "copies"} == {None}
+        assert {answers.place((delay + late) * T, syncs) for _ in "copies"} == {None}
         moved.append(answers.has_moved(syncs.grid))
     assert moved == [False] * (ROW - 1) + [True]
-    assert answers.place((delay + late) * T, syncs.grid) == 0
+    assert answers.place((delay + late) * T, syncs) == 0
 
 
 @given(early=st.floats(0.15, 0.4))
@@ -284,17 +284,17 @@ def test_a_pdo_before_the_place_of_its_sync_is_not_that_of_a_timer(early: float)
 @given(seed=SEEDS)
 def test_a_timer_on_a_loaded_bus_is_not_early(seed: int) -> None:
     """Half of the SYNCs wait for a frame: the line runs through their mean, the timer stands before it."""
-    draw, grid, answers = random.Random(seed), Grid(), Answers()
+    draw, syncs, answers = random.Random(seed), Syncs(), Answers()
     for n in range(400):
         at = n * T + draw.uniform(-3e-5, 3e-5) + draw.choice((0.0, draw.uniform(0.0, 135e-6)))
-        grid.take(at)
+        syncs.sync(at, True, None)
         delay_s = max(0.0, n * T - at) + 140e-6
-        assert n < 256 or not answers.is_early(delay_s, grid)
-        answers.place(delay_s, grid)
+        assert n < 256 or not answers.is_early(delay_s, syncs.grid)
+        answers.place(delay_s, syncs)
 
 
 @given(places=st.integers(1, 3), early=st.floats(0.02, 0.08))
 def test_no_pdo_answers_a_sync_that_may_still_come(places: int, early: float) -> None:
     answers, syncs = learned(0.05 * T)
-    assert answers.place((places - early) * T, syncs.grid) is None
-    assert answers.place((places + 0.05) * T, syncs.grid) == places
+    assert answers.place((places - early) * T, syncs) is None
+    assert answers.place((places + 0.05) * T, syncs) == places

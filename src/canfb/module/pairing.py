@@ -25,6 +25,7 @@ from canfb.timing.syncs import USUAL, Syncs, SyncVerdict
 
 COUNTER_OVERFLOW = 0x1019
 COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
+TOGETHER = 0.5  # of a period: parts of one sample; those of the next are as far from them
 CAME = -2  # in place of a number of an RPDO
 MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
 
@@ -79,6 +80,7 @@ class Pairing(ProcessData):
         self._off, self._came_s = 0.0, -NEVER
         self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
         self._moves = False  # and it moved since, by a speed that a wrong interval does not hide
+        self._begun_s = 0.0  # when the first part of the sample came
         self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
         # The RPDO that may bring a usual sample of the last SYNC; CAME: it has, and nothing since.
         self.usual = NO_RPDO
@@ -150,8 +152,8 @@ class Pairing(ProcessData):
             self._account(verdict, counter, now, waiting, due)
         if self._second.number is not None:
             self._second.interval_over(not (verdict.lost or late or after_extra))
-        if parts.arrived and parts.give_up():
-            self.count_bad_frame()
+        if parts.arrived and not self.answers.waits:
+            self._give_up()
         if not self._sample_came and self.sampled and self._synced and source is None:
             if parts.is_synchronous and not self._tracks_came:
                 self._miss_to(place, now)
@@ -303,8 +305,17 @@ class Pairing(ProcessData):
             if elapsed is None:
                 return
             self._tracks_came, self._elapsed = True, elapsed
+        if not parts.arrived:
+            self._begun_s = self._call.received
+        elif self.answers.waits and self._call.received - self._begun_s > TOGETHER * self.syncs.grid.rough:
+            self._give_up()
+            self._begun_s = self._call.received
         if number == parts.alone or parts.take(number):
             self._complete(parts.sample(), now)
+
+    def _give_up(self) -> None:
+        if self._input.give_up():
+            self.count_bad_frame()
 
     def _judged(self, now: float) -> float | None:
         call, syncs, answers, chain = self._call, self.syncs, self.answers, self._chain
@@ -319,7 +330,7 @@ class Pairing(ProcessData):
             is_early = answers.is_early(delay_s, syncs.grid)
             if place == self._accounted + 1 and answers.is_usual(delay_s, syncs.grid):
                 return self._answer(place)
-            later = answers.place(delay_s, syncs.grid, self._accounted - place)
+            later = answers.place(delay_s, syncs, self._accounted - place)
             if is_early and (later is None or later >= 0):
                 self._off = max(self._off, syncs.grid.lead / syncs.grid.period)
             if answers.has_moved(syncs.grid):
@@ -368,8 +379,7 @@ class Pairing(ProcessData):
     def _pass_lost(self, syncs: int) -> None:
         """So many SYNCs were not received, and these tracks answer the last of them."""
         self.syncs.advance(syncs)
-        if self._input.give_up():
-            self.count_bad_frame()
+        self._give_up()
         if self.sampled:
             _count(self._lost_syncs, syncs)
         self._sample_came = 0
@@ -419,7 +429,7 @@ class Pairing(ProcessData):
     def _answered_sync(self, delay_s: float) -> tuple[int, float | None]:
         """Its place, and when it was received, None if that is open."""
         syncs, answers = self.syncs, self.answers
-        later = answers.place(delay_s, syncs.grid, self._accounted - syncs.place)
+        later = answers.place(delay_s, syncs, self._accounted - syncs.place)
         if later is None:
             answers.has_moved(syncs.grid)
         place = syncs.place + min(0, later or 0)

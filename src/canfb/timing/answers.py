@@ -13,6 +13,7 @@ from __future__ import annotations
 from math import inf
 
 from canfb.timing.grid import ROW, Grid
+from canfb.timing.syncs import Syncs
 
 SOONEST = 0.7  # of the least delay: the same frame, with other stuffing
 NOISE_S = 50e-6  # of two receive times
@@ -59,26 +60,39 @@ class Answers:
         """Its SYNC came before its place on the grid, and it sooner than from a timer: so did its sample."""
         return grid.lead > 0.0 and delay_s + QUEUED_S < grid.lead + SOONEST * self.least_s < inf
 
-    def place(self, delay_s: float, grid: Grid, answered: int = -1) -> int | None:
+    def place(self, delay_s: float, syncs: Syncs, answered: int = -1) -> int | None:
         """Places after the last SYNC that it answers: 0 that one, -1 the one before; None: it fits none.
 
-        ``delay_s`` after the last SYNC; the place that is ``answered`` needs no other.
+        ``delay_s`` after the last SYNC; the place that is ``answered`` needs no other. SYNCs jitter: one that
+        came before the last counts by its receive time, where that is known.
         """
-        period_s = grid.rough if self._longest_s else grid.period
+        period_s = syncs.grid.period
+        if self._longest_s and not period_s:  # how many periods a delay is cannot be said yet
+            return min(0, answered + 1)
         if self.least_s == inf:
             self.least_s = self._since_first(delay_s, period_s)
-        later_s = delay_s - self.least_s
-        early_s = max((1.0 - SOONEST) * self.least_s, min(NOISE_S, 0.1 * period_s))
-        places = round((later_s + early_s) // period_s) if period_s else 0
-        within_s = later_s - places * period_s
-        may_come = places > 0 and within_s < (SOONEST - 1.0) * self.least_s  # a SYNC that was not received
-        fits = (-early_s <= within_s <= _most_s(grid, period_s) and not may_come) or not period_s
-        if fits and places > answered:
-            self.least_s += (FORGETTING if within_s >= 0.0 else 1.0) * within_s
+        early_s = max((1.0 - SOONEST) * min(self.least_s, period_s), min(NOISE_S, 0.1 * period_s))
+        most_s = _most_s(syncs.grid, period_s)
+        newest = round((delay_s - self.least_s + early_s) // period_s) if period_s else 0
+        near = [one for one in (newest - 1, newest + 1) if one <= 0 and self.synced_s]
+        fits = []
+        for places in (newest, *near):
+            later_s = delay_s - self._since_s(places, syncs, period_s) - self.least_s
+            may_come = places > 0 and later_s < (SOONEST - 1.0) * self.least_s  # a SYNC that was not received
+            if (-early_s <= later_s <= most_s and not may_come) or not period_s:
+                fits.append((places, later_s))
+        if len(fits) == 1 and fits[0][0] > answered:
+            later_s = fits[0][1]
+            self.least_s += (FORGETTING if later_s >= 0.0 else 1.0) * later_s
             self._refused.clear()
         else:
-            self._refused.setdefault(grid.due, delay_s)
-        return places if fits else None
+            self._refused.setdefault(syncs.grid.due, delay_s)
+        return fits[0][0] if len(fits) == 1 else None
+
+    def _since_s(self, places: int, syncs: Syncs, period_s: float) -> float:
+        """From the last SYNC to that so many places later."""
+        at_s = self.synced_s.get(syncs.place + places)
+        return places * period_s if at_s is None else at_s - syncs.synced_s
 
     def has_moved(self, grid: Grid) -> bool:
         """ROW were refused in a row, with much the same delay: that is the delay from now on."""
