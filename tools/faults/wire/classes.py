@@ -261,7 +261,10 @@ def bus_off(plan: Plan) -> None:
 
 SOME = one_of(1, 1, 1, 2, 3, 10)
 LATE_HOST = wire(host="late")
-ZERO_PULSES, COARSE = options(extra=True), options(coarse=True)
+ZERO_PULSES, COARSE, SECOND = options(extra=True), options(coarse=True), options(second=one_of(0.01, 1e-4))
+WITNESS = any_of(ZERO_PULSES, COARSE, SECOND)
+EXTRA_DOUBLED = slots(one_of(1, 1, 3), step=4, extra_again_us=lambda plan: [periods_us(0.8, 1.3)(plan)])
+EXTRA_LOST = slots(between(1, 3), extra_lost=True)
 PDO_LATE = slots(one_of(1, 2, 5), step=3, pdo_late_us=periods_us(0.85, 1.4))
 UNHEARD_BY_MODULE, UNHEARD_BY_INTERFACE = slots(SOME, to_module=False), slots(SOME, to_interface=False)
 SYNC_DOUBLED = doubled(47.0, lambda _: 120.0)
@@ -354,6 +357,12 @@ CLASSES = {
     "PDO replayed": WireClass(pdo_replayed),
     "PDOs slow": WireClass(slots(40, pdo_late_us=periods_us(0.4, 0.9))),
     "PDOs late for good": WireClass(slots(None, pdo_late_us=lambda plan: 1.0 / plan.us)),
+    "PDOs behind later SYNCs": WireClass(clocks.answers_behind_later_syncs, of="stamps", survives=True),
+    "PDOs behind later SYNCs, some lost": WireClass(
+        clocks.answers_behind_later_syncs,
+        any_of(UNHEARD_BY_MODULE, UNHEARD_BY_INTERFACE, lost(between(1, 3)), deaf(between(1, 7))),
+        of="stamps",
+    ),
     "PDO late": WireClass(PDO_LATE),
     "PDOs late by 1 and 2": WireClass(pdos_swapped),
     "PDO late, next lost": WireClass(
@@ -371,11 +380,11 @@ CLASSES = {
     "zero pulse false, coarse": WireClass(COARSE, ZERO_PULSES, FALSE_PULSE, after=260),
     "zero pulse false": WireClass(ZERO_PULSES, FALSE_PULSE, after=260),
     "zero pulse, first false": WireClass(ZERO_PULSES, first_pulse_false, after=200),
-    "RPDO2 doubled": WireClass(
-        ZERO_PULSES,
-        slots(one_of(1, 1, 3), step=4, extra_again_us=lambda plan: [periods_us(0.8, 1.3)(plan)]),
-    ),
-    "RPDO2 lost": WireClass(ZERO_PULSES, slots(between(1, 3), extra_lost=True)),
+    "RPDO2 doubled": WireClass(ZERO_PULSES, EXTRA_DOUBLED),
+    "RPDO2 lost": WireClass(ZERO_PULSES, EXTRA_LOST),
+    "second position, any loss": WireClass(SECOND, any_of(any_loss, EXTRA_DOUBLED, EXTRA_LOST), after=160),
+    "witness, pause or bus-off": WireClass(WITNESS, any_of(pause, bus_off), torque=0.0, after=160),
+    "witness, deaf": WireClass(WITNESS, deaf(between(1, 60)), after=200),
     "NMT pause": WireClass(pause, torque=0.0, after=110),
     "bus-off": WireClass(bus_off, torque=0.0, after=110),
     "bus-off, 1029h = 1": WireClass(options(stays=True), bus_off, torque=0.0, after=110),
@@ -411,6 +420,7 @@ CLASSES = {
     "1006h ten times, PDO lost": WireClass(
         clocks.wrong_1006_and_lost, torque=0.0, of="!servo", survives=True
     ),
+    "start, stalls": WireClass(clocks.stalls_at_the_start, torque=0.0, of="times !servo", survives=True),
     "stall, one burst": WireClass(
         clocks.stall_in_one_burst, torque=0.0, of="counter !times !stamps", survives=True
     ),

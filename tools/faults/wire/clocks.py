@@ -18,19 +18,20 @@ from tools.faults.wire.draw import torque
 from tools.faults.wire.line import TICK_S, Plan, Slot
 from tools.faults.wire.physics import stamp_tolerance, step_note
 
+LOADED = 64  # slots
 REST, STEADY = 14, 40  # slots at rest, and at speed before the fault
 PHASE_ERROR = 0.0125  # cycles, of an uncorrected encoder
 RESTARTED_T = 3.0  # a reset, its configuration and the start, T
 
 
-def machine(plan: Plan, speed: float, after: int, *, limit: float = 0.25) -> None:
+def machine(plan: Plan, speed: float, after: int, *, limit: float = 0.25, rest: int = REST) -> None:
     """A machine that goes from rest to ``speed`` cycles/T and stays there; the fault comes then."""
     size = 0.7 * limit
     ramp = abs(speed) / size
     plan.options.limit = limit
     plan.motion = Motion(start=float(plan.rng.uniform(0.1, 0.9)))
-    plan.motion.push(REST, ramp, math.copysign(size, speed))
-    plan.fault = REST + int(ramp) + STEADY + int(plan.rng.integers(10))
+    plan.motion.push(rest, ramp, math.copysign(size, speed))
+    plan.fault = rest + int(ramp) + STEADY + int(plan.rng.integers(10))
     plan.slots = [Slot() for _ in range(plan.fault + after)]
     plan.accelerating = False
 
@@ -249,6 +250,37 @@ def longest_bridged(limit: float) -> int:
 def _cycles_apart(stall: int, limit: float) -> float:
     """How far two motions through the same phases can part in a stall of so many whole periods."""
     return (stall + 1) ** 2 // 4 * 2.0 * limit + 4.0 * PHASE_ERROR * (stall + 1)
+
+
+def stalls_at_the_start(plan: Plan) -> None:
+    """Module, interface and SYNC producer are processes of one loaded computer.
+
+    From the first SYNC on the interface samples late, at the times that it names; SYNCs and PDOs are late, or
+    not sent. The machine starts behind it.
+    """
+    rng, limit = plan.rng, float(plan.rng.choice(LIMITS))
+    machine(plan, a_speed(plan, 0.0, 100.0 * limit), 0, limit=limit, rest=REST + LOADED)
+    plan.options.interval_s, plan.host, plan.fault = 1e-2, "late", 1
+    plan.jitter_us, plan.gaussian, plan.busy = 1000.0, False, 0.0
+    for slot in plan.slots:
+        slot.sample_late_us = min(float(rng.exponential(300.0)), plan.jitter_us)
+    at = 1.0
+    while (at := at + float(rng.exponential(5.0))) < LOADED:
+        long = float(rng.uniform(0.0, 1.5))
+        who = str(rng.choice(("all", "producer", "interface")))
+        if who == "interface":
+            plan.slots[int(at)].pdo_late_us = min(long, 0.8) / plan.us
+        else:
+            _put(plan, who, at, at + 1.0 + long)
+        at += 3.0
+
+
+def answers_behind_later_syncs(plan: Plan) -> None:
+    """Each PDO is late by up to three periods, and half of one for the rest, which 2010:0E declares."""
+    late = float(plan.rng.uniform(0.0, 3.0))
+    plan.options.answer_s = (late + 0.5) * plan.options.interval_s
+    for slot in plan.slots:
+        slot.pdo_late_us = late / plan.us
 
 
 def late_stamp_once(plan: Plan) -> None:

@@ -23,6 +23,7 @@ from tools.faults.wire.setups import (
     EXTRA_ID,
     NMT_ID,
     NODE,
+    SECOND_INCREMENTS,
     SYNC_ID,
     TIMES_ID,
     Options,
@@ -51,6 +52,7 @@ class Slot:
     late_us: float = 0.0  # the SYNC itself, beyond its jitter
     payload: bytes | None = None  # in place of what the set-up has
     again: list[tuple[float, bool, bool]] = field(default_factory=list)  # us later, to module, to interface
+    sample_late_us: float = 0.0  # the hold of both tracks
     pdo_lost: bool = False
     times_lost: bool = False  # the PDO with the sample time, where it has its own
     pdo_late_us: float = 0.0
@@ -146,7 +148,7 @@ def lay(plan: Plan) -> Line:
                 events.append(Event(heard, len(events), "sync", frame, number))
             if to_interface:
                 nominal = number + 1.0 if plan.locked and later_us == 0.0 else heard
-                time = nominal + SAMPLE_LATENCY_US * plan.us
+                time = nominal + (SAMPLE_LATENCY_US + slot.sample_late_us) * plan.us
                 samplings.append(_Sampling(number, max(heard, nominal), time, later_us == 0.0))
     positions = plan.motion.at([one.time for one in samplings])
     _send_samples(plan, samplings, positions, events)
@@ -225,7 +227,7 @@ def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray,
             data += stamp
         else:
             data += struct.pack("<hh", earlier[0][n], earlier[1][n])
-        sent = max(one.heard + waits[n], free)
+        sent = max(one.heard + waits[n] + slot.sample_late_us * us, free)
         free = sent + 60.0 * us
         sent += slot.pdo_late_us * us
         if not slot.pdo_lost:
@@ -254,7 +256,7 @@ def _send_foreign(plan: Plan, events: list[Event]) -> None:
 
 
 def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes:
-    """What RPDO2 carries of a sample at time ``here``: coarse track, zero pulse, both, or nothing."""
+    """What RPDO2 carries of a sample at time ``here``: coarse track, zero pulse, second position."""
     data = b""
     if plan.options.coarse:
         angle = 2.0 * math.pi * (plan.motion.at([here])[0] / CYCLES_PER_REVOLUTION % 1.0)
@@ -264,6 +266,9 @@ def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes:
     if plan.options.extra:
         place = _zero_pulse(plan.motion, before, here) if slot.false_pulse is None else slot.false_pulse
         data += struct.pack("<BH", 0, 0) if place is None else struct.pack("<BH", 1, int(place * 65536))
+    if plan.options.second:
+        revolutions = float(plan.motion.at([here])[0]) / CYCLES_PER_REVOLUTION
+        data += struct.pack("<I", round(revolutions * SECOND_INCREMENTS) & U32)
     return data
 
 

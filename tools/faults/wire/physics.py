@@ -42,7 +42,7 @@ def unseen(plan: Plan, until: float = math.inf) -> str:
     if plan.setup.times:
         return ""
     late = [n for n, slot in enumerate(plan.slots) if slot.pdo_late_us * plan.us > 0.99]
-    if late and late == list(range(late[0], len(plan.slots))):
+    if not plan.options.answer_s and late and late == list(range(late[0], len(plan.slots))):
         return "P3"
     return "P1" if not plan.setup.stamps and not plan.actions and _is_short(plan, until) else ""
 

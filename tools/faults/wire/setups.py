@@ -14,6 +14,7 @@ TPDO1_ID, EMCY_ID, SDO_TX, SDO_RX = 0x180 + NODE, 0x080 + NODE, 0x580 + NODE, 0x
 CYCLES_PER_REVOLUTION = 2500
 UNITS_PER_CYCLE = 8192  # 6004h without scaling
 RANGE_CYCLES = 209 * CYCLES_PER_REVOLUTION  # where 6004h wraps
+SECOND_INCREMENTS = 1 << 20  # 2014:01, per revolution
 TWO_PI = 6.283185307179586
 WRITE_REPLY = 0x60
 
@@ -64,6 +65,7 @@ class Options:
 
     interval_s: float = 1e-3
     jitter_s: float = 0.0  # 2010:0D
+    answer_s: float = 0.0  # 2010:0E
     coast: int | None = None  # 2010:03; None: as delivered
     limit: float | None = None  # 2010:02 in cycles/T^2; None: not known
     margin: int = 0  # 2010:09
@@ -77,6 +79,7 @@ class Options:
     predict: int = 0  # 2013:01
     extra: bool = False  # RPDO2 with flags and place of the zero pulse
     coarse: bool = False  # RPDO2 with the coarse track
+    second: float = 0.0  # RPDO2 with a second position: 2014:04, revolutions
     stays: bool = False  # 1029h:01 is 1: OPERATIONAL also without a bus
     acceleration: bool = False  # TPDO3 with status and 2011:09
 
@@ -114,6 +117,7 @@ def configuration(setup: Setup, options: Options) -> list[Frame]:
         (setup.counter, 0x1019, 0, "B", o.overflow),
         (o.period, 0x1006, 0, "I", round(o.interval_s * o.period_factor * 1e6)),
         (o.jitter_s, 0x2010, 13, "f", o.jitter_s),
+        (o.answer_s, 0x2010, 14, "f", o.answer_s),
         (o.limit is not None, 0x2010, 2, "f", limit),
         (o.coast is not None, 0x2010, 3, "B", o.coast),
         (setup.servo, 0x2010, 9, "B", o.margin),
@@ -122,6 +126,8 @@ def configuration(setup: Setup, options: Options) -> list[Frame]:
         (o.predict, 0x2013, 1, "B", o.predict),
         (o.event_timer_ms, 0x6200, 0, "H", o.event_timer_ms),
         (o.stays, 0x1029, 1, "B", 1),
+        (o.second, 0x2014, 4, "f", o.second),
+        (o.second, 0x2014, 5, "B", 1),
     )
     frames = [sdo_write(index, sub, kind, value or 0) for is_set, index, sub, kind, value in simple if is_set]
     if setup.times:
@@ -130,6 +136,7 @@ def configuration(setup: Setup, options: Options) -> list[Frame]:
     if setup.servo:
         frames += _mapping(0x1402, TIMES_ID, (0x20000520,), o.rpdo_type)
     extra = (0x20000310, 0x20000410) * o.coarse + (0x20000608, 0x20000710) * o.extra
+    extra += (0x20000E20,) * bool(o.second)
     if extra:
         frames += _mapping(0x1401, EXTRA_ID, extra, o.rpdo_type)
     if o.acceleration:
