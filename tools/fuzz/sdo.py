@@ -56,7 +56,8 @@ class SdoWatcher:
     def answer(self, data: bytes) -> None:
         demand(len(data) == 8, f"an answer of {len(data)} bytes")
         if self._next and data[0] & 0x7F == self._next:
-            self._segment_of_a_block(data)
+            last = data[0] & 0x80 or self._next == LARGEST_BLOCK
+            self._next = 0 if last else self._next + 1
             return
         demand(self._left > 0, f"{data.hex()} is one answer too many to {self._request.hex()}")
         self._left -= 1
@@ -72,10 +73,6 @@ class SdoWatcher:
         checks = (self._segment, self._download_segment, self._upload, self._download)
         check = checks[data[0] >> 5] if data[0] >> 5 < len(checks) else self._block
         check(data)
-
-    def _segment_of_a_block(self, data: bytes) -> None:
-        last = data[0] & 0x80 or self._next == LARGEST_BLOCK
-        self._next = 0 if last else self._next + 1
 
     def _demand_same_object(self, data: bytes) -> None:
         demand(data[1:4] == self._request[1:4], f"{data.hex()} is about another object")

@@ -36,7 +36,8 @@ def introduction(effort: Effort) -> Iterator[Claim]:
 
 def phases(effort: Effort) -> Iterator[Claim]:
     position = np.arange(GRID) / GRID
-    raw = phase_in_cycle(*ideal_tracks(position))
+    sine, cosine = ideal_tracks(position)
+    raw = phase_in_cycle(sine, cosine)
     error = _largest(raw - position)
     yield Claim("table-1-error", f"{percent(error, 4)} of a cycle", verdict(0.011 < error < 0.0125))
     steps = np.diff(raw) * GRID  # slope: 1 for the true phase
@@ -45,7 +46,7 @@ def phases(effort: Effort) -> Iterator[Claim]:
         f"slope {steps.min():.3f} to {steps.max():.3f} everywhere, no step",
         verdict(steps.min() > 0.78 and steps.max() < 1.58),
     )
-    printed = phases_as_printed(position)
+    printed = np.where(position > 7 / 8, 1.0 + sine / cosine, raw)  # with its last column as it is printed
     step = float(np.diff(printed).min())
     away = float(np.abs(printed - position).max())
     yield Claim(
@@ -76,11 +77,12 @@ def _arc_tangent(position: FloatArray) -> Claim:
 def reference_measurement(effort: Effort) -> Iterator[Claim]:
     speed_rpm = 60.0 * RECORDING_RATE_HZ / 50.0 / CYCLES_PER_REVOLUTION
     yield Claim("reference-speed", f"{speed_rpm:.1f} rpm", verdict(round(speed_rpm, 6) == 24.0))
-    seconds = effort.recording_s
+    number = np.arange(round(effort.recording_s * RECORDING_RATE_HZ), dtype=np.float64)
     # A little less than 24 rpm, so that the samples do not meet the same 50 phases in each cycle.
-    samples = round(seconds * RECORDING_RATE_HZ)
-    steady = np.arange(samples, dtype=np.float64) * (23.93 / 24.0 / 50.0)
-    swinging = fluctuating_speed(seconds)
+    steady = number * (23.93 / 24.0 / 50.0)
+    # While a constant voltage phasor drives the machine: 9 to 20 rpm.
+    rpm = 14.5 + 5.5 * np.sin(2.0 * np.pi * 6.0 * number / RECORDING_RATE_HZ)
+    swinging = np.cumsum(rpm / 60.0 * CYCLES_PER_REVOLUTION) / RECORDING_RATE_HZ
     cases = {
         "ideal": (IDEAL, steady),
         "usual": (USUAL, steady),
@@ -124,12 +126,6 @@ def conclusion(effort: Effort) -> Iterator[Claim]:
     )
 
 
-def phases_as_printed(position: FloatArray) -> FloatArray:
-    """Table 1 with the last column as it is printed."""
-    sine, cosine = ideal_tracks(position)
-    return np.where(position > 7 / 8, 1.0 + sine / cosine, phase_in_cycle(sine, cosine))
-
-
 def peak_error(encoder: Encoder, table: CorrectionTable, position: FloatArray) -> float:
     """Of the phases, their mean taken off: where phase 0 lies is a convention."""
     off = wrap(table(phase_in_cycle(*encoder.tracks(position))) - position)
@@ -144,13 +140,6 @@ def resolution_step() -> float:
         _largest(phase_in_cycle(sine + ds, cosine + dc) - raw)
         for ds, dc in itertools.product((-1.0, 0.0, 1.0), repeat=2)
     )
-
-
-def fluctuating_speed(seconds: float) -> FloatArray:
-    """Positions at 50 kHz while a constant voltage phasor drives the machine: 9 to 20 rpm."""
-    time = np.arange(round(seconds * RECORDING_RATE_HZ)) / RECORDING_RATE_HZ
-    rpm = 14.5 + 5.5 * np.sin(2.0 * np.pi * 6.0 * time)
-    return np.asarray(np.cumsum(rpm / 60.0 * CYCLES_PER_REVOLUTION) / RECORDING_RATE_HZ, np.float64)
 
 
 def calibrated_error(encoder: Encoder, way: FloatArray) -> float:

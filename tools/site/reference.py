@@ -142,23 +142,18 @@ def keys_of(kind: type) -> Iterator[Key]:
 
 
 def keys_page() -> str:
-    lines = [KEYS_TEXT, *_top(), BUS]
-    kinds = [(f"modules: source, kind {name}", kind, _summary(kind)) for name, kind in source_kinds().items()]
+    texts = described(Config)
+    sections = ((f"`{field.name}`", plain(texts[field.name])) for field in dataclasses.fields(Config))
+    lines = [KEYS_TEXT, *table(("section", "meaning"), sections), BUS]
+    kinds = [
+        (f"modules: source, kind {name}", kind, plain((kind.__doc__ or "").split("\n")[0]))
+        for name, kind in source_kinds().items()
+    ]
     for title, kind, about in (*SECTIONS[:2], *kinds, *SECTIONS[2:]):
         lines += [f"\n## {title}", "", about[0].upper() + about[1:].rstrip(".") + ".", ""]
         rows = ((f"`{key.name}`", key.default or "required", plain(key.text)) for key in keys_of(kind))
         lines += table(("key", "default", "meaning"), rows)
     return "\n".join(lines) + "\n"
-
-
-def _top() -> Iterator[str]:
-    texts = described(Config)
-    rows = ((f"`{field.name}`", plain(texts[field.name])) for field in dataclasses.fields(Config))
-    yield from table(("section", "meaning"), rows)
-
-
-def _summary(kind: type) -> str:
-    return plain((kind.__doc__ or "").split("\n")[0])
 
 
 def _default(field: dataclasses.Field[object]) -> str:

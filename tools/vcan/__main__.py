@@ -125,12 +125,6 @@ def run_in_kernel(kernel: Kernel, command: Sequence[str], timeout_s: float | Non
             uml.kill_group(process)
 
 
-def shell_in_kernel(kernel: Kernel, command: Sequence[str]) -> int:
-    """Run an interactive command beside the kernel's own vcan; returns its exit status."""
-    with kernel.interface():
-        return shell_status(subprocess.run([*kernel.prefix, *command], check=False).returncode)
-
-
 def shell_status(returncode: int) -> int:
     """Exit status as a shell gives it: 128 + number for a signal."""
     return 128 - returncode if returncode < 0 else returncode
@@ -165,7 +159,8 @@ def shell() -> int:
     way = find()
     command = ["bash", "-i"]
     if isinstance(way, Kernel):
-        return shell_in_kernel(way, command)
+        with way.interface():
+            return shell_status(subprocess.run([*way.prefix, *command], check=False).returncode)
     print(f"user-mode Linux {way.release} with {CHANNEL}; leave it with exit", flush=True)
     return uml.shell(way, command, CHANNEL)
 

@@ -70,18 +70,14 @@ def needs_preload(cpuinfo: str, release: str) -> bool:
     return "amx_tile" in flags.split() and version < FPREGS_FIXED_IN
 
 
-def kernel_release(kernel: str) -> str:
-    """Version of a user-mode Linux, as in `6.1.176`."""
-    return subprocess.run([kernel, "--version"], capture_output=True, text=True, check=True).stdout.strip()
-
-
 def find_machine() -> Machine:
     """The installed user-mode Linux; a VcanError says which Debian packages are missing."""
     missing = [package for program, package in PACKAGES.items() if which(program) is None]
     if missing:
         raise VcanError(f"apt-get install {' '.join(missing)}")
     kernel = which("linux.uml") or "linux.uml"
-    release = kernel_release(kernel)
+    said = subprocess.run([kernel, "--version"], capture_output=True, text=True, check=True)
+    release = said.stdout.strip()  # as in 6.1.176
     preload = needs_preload(Path("/proc/cpuinfo").read_text(), release)
     if preload and which("cc") is None:
         raise VcanError("apt-get install gcc libc6-dev (this processor has AMX; see tools/vcan/fpregs.c)")
@@ -148,13 +144,6 @@ def memory_folder(candidates: Sequence[str] = ("/dev/shm", "/tmp", "/var/tmp")) 
 
 
 # --- a run
-
-
-def pump(source: FileIO, sink: BinaryIO) -> None:
-    """Copy what was written meanwhile."""
-    while chunk := source.read(1 << 16):
-        sink.write(chunk)
-        sink.flush()
 
 
 @contextlib.contextmanager
@@ -252,7 +241,8 @@ def _relay(
     while True:
         over = _is_over(process, folder)  # asked first: what was written until then is copied
         for source, sink in tails:
-            pump(source, sink)
+            shutil.copyfileobj(source, sink)  # what was written meanwhile
+            sink.flush()
         # A slow machine takes long to boot, but goes on writing.
         silence_s = time.time() - console.stat().st_mtime
         if over or (not (folder / "started").exists() and silence_s > BOOT_SILENCE_S):

@@ -140,7 +140,8 @@ def lay(plan: Plan) -> Line:
         slot = plan.slots[number]
         if not slot.produced:
             continue
-        frame = Frame(SYNC_ID, _payload(plan, slot, number))
+        payload = bytes([number % plan.options.overflow + 1]) if plan.setup.counter else b""
+        frame = Frame(SYNC_ID, payload if slot.payload is None else slot.payload)
         copies = [(0.0, slot.to_module, slot.to_interface), *slot.again]
         for later_us, to_module, to_interface in copies:
             heard = at + later_us * plan.us
@@ -189,12 +190,6 @@ def _sync_times(plan: Plan) -> list[float]:
     jitter = np.clip((jitter + blocked) * plan.us, -0.45, 0.45) + late * plan.us
     times: list[float] = (np.arange(1.0, n + 1.0) + jitter).tolist()
     return times
-
-
-def _payload(plan: Plan, slot: Slot, number: int) -> bytes:
-    if slot.payload is not None:
-        return slot.payload
-    return bytes([number % plan.options.overflow + 1]) if plan.setup.counter else b""
 
 
 def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray, events: list[Event]) -> None:

@@ -161,22 +161,19 @@ def jitter_s(plan: Plan) -> float:
     return 1e-6 * (plan.jitter_us * (GAUSSIAN if plan.gaussian else 1.0) + blocked_us) + STAMP_NOISE_S
 
 
-def play_plan(plan: Plan, fresh: bool = False) -> Played:
+def play(episode: Episode, fresh: bool = False, confirm: bool = True) -> Played:
+    """Draw and play one episode; to ``confirm``, a wrong position counts on a module that is new only."""
+    plan = plan_of(episode)
     module = _bench.begin(plan.setup, plan.options, fresh)
     begin = _bench.now + 0.01
     module.receive(_START, _bench.now + 0.005)
     line = lay(plan)
     sent, _bench.now = drive(module, plan, line.events, begin)
     judge = Judge(plan, line)
-    return Played(plan, line, sent, judge, judge.judge(sent))
-
-
-def play(episode: Episode, fresh: bool = False, confirm: bool = True) -> Played:
-    """Draw and play one episode; to ``confirm``, a wrong position counts on a module that is new only."""
-    played = play_plan(plan_of(episode), fresh)
-    if played.verdict.wrong and confirm and not fresh:
+    verdict = judge.judge(sent)
+    if verdict.wrong and confirm and not fresh:
         return play(episode, fresh=True)
-    return played
+    return Played(plan, line, sent, judge, verdict)
 
 
 def trace(episode: Episode, every: bool) -> int:
