@@ -69,7 +69,6 @@ class Event(NamedTuple):
     """One frame at the module, or an action of its controller."""
 
     time: float  # true receive time, T
-    order: int
     what: str  # sync, part (of a sample), pdo (completes it), extra, foreign, sdo, nmt, bus_off, bus_back
     frame: Frame | None
     number: int  # of the slot for sync and foreign, of the sample for pdo and extra
@@ -123,14 +122,13 @@ class Line:
     sample_times: list[float]
     sample_slots: list[int]
     positions: list[float]
-    named: list[float] = field(default_factory=list)  # the moments that the sample times name
+    named: list[float]  # the moments that the sample times name
 
 
 class _Sampling(NamedTuple):
     slot: int
     heard: float
     time: float
-    first: bool
 
 
 def lay(plan: Plan) -> Line:
@@ -146,34 +144,30 @@ def lay(plan: Plan) -> Line:
         for later_us, to_module, to_interface in copies:
             heard = at + later_us * plan.us
             if to_module:
-                events.append(Event(heard, len(events), "sync", frame, number))
+                events.append(Event(heard, "sync", frame, number))
             if to_interface:
                 nominal = number + 1.0 if plan.locked and later_us == 0.0 else heard
                 time = nominal + (SAMPLE_LATENCY_US + slot.sample_late_us) * plan.us
-                samplings.append(_Sampling(number, max(heard, nominal), time, later_us == 0.0))
+                samplings.append(_Sampling(number, max(heard, nominal), time))
     positions = plan.motion.at([one.time for one in samplings])
     _send_samples(plan, samplings, positions, events)
     _send_foreign(plan, events)
     for at in plan.reads:
-        events.append(Event(at, len(events), "sdo", sdo_read(0x2011, 1), 0))
-        events.append(Event(at, len(events), "sdo", sdo_read(0x6004, 0), 0))
+        events.append(Event(at, "sdo", sdo_read(0x2011, 1), 0))
+        events.append(Event(at, "sdo", sdo_read(0x6004, 0), 0))
     for at, what, data in plan.actions:
         if what == "configure":
             frames = configuration(plan.setup, plan.options)
-            events += [Event(at, len(events) + n, "sdo", one, 0) for n, one in enumerate(frames)]
+            events += [Event(at, "sdo", one, 0) for one in frames]
             continue
         command = Frame(NMT_ID, data + bytes([NODE])) if what == "nmt" else None
-        events.append(Event(at, len(events), what, command, 0))
-    events.sort(key=lambda one: (one.time, one.order))
+        events.append(Event(at, what, command, 0))
+    events.sort(key=lambda one: one.time)  # those of one time as they were laid
     times, slots = [one.time for one in samplings], [one.slot for one in samplings]
-    named = [_named(plan, one) for one in samplings]
+    added = (0 if plan.slots[n].stamp is not None else plan.slots[n].stamp_add for n in slots)
+    ticks = TICK_S / plan.options.interval_s
+    named = [time + one * ticks for time, one in zip(times, added, strict=True)]
     return Line(events, times, slots, positions.tolist(), named)
-
-
-def _named(plan: Plan, one: _Sampling) -> float:
-    slot = plan.slots[one.slot]
-    added = 0 if slot.stamp is not None else slot.stamp_add
-    return one.time + added * TICK_S / plan.options.interval_s
 
 
 def _sync_times(plan: Plan) -> list[float]:
@@ -228,15 +222,15 @@ def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray,
         if not slot.pdo_lost:
             for later in (0.0, *slot.pdo_again_us):
                 what = "pdo" if earlier is None else "part"
-                events.append(Event(sent + later * us, len(events), what, Frame(ADC_ID, data), n))
+                events.append(Event(sent + later * us, what, Frame(ADC_ID, data), n))
                 if earlier is not None and not slot.times_lost:
                     at = sent + (later + TIMES_LATER_US) * us
-                    events.append(Event(at, len(events), "pdo", Frame(TIMES_ID, stamp), n))
+                    events.append(Event(at, "pdo", Frame(TIMES_ID, stamp), n))
         extra = _extra(plan, slot, before, one.time)
         if extra and not slot.extra_lost:
             for later in (0.0, *slot.extra_again_us):
                 at = sent + (70.0 + later) * us
-                events.append(Event(at, len(events), "extra", Frame(EXTRA_ID, extra), n))
+                events.append(Event(at, "extra", Frame(EXTRA_ID, extra), n))
         before = one.time
 
 
@@ -247,7 +241,7 @@ def _send_foreign(plan: Plan, events: list[Event]) -> None:
             if plan.setup.times and not plan.setup.servo:
                 data += plan.rng.bytes(4)
             at = number + 1.0 + slot.foreign_us * plan.us
-            events.append(Event(at, len(events), "foreign", Frame(ADC_ID, data), number))
+            events.append(Event(at, "foreign", Frame(ADC_ID, data), number))
 
 
 def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes:
