@@ -210,7 +210,7 @@ MACHINES = (
 )
 
 
-@pytest.mark.parametrize("kind", [one for one in KINDS.values() if one.bad == 0], ids=lambda one: one.name)
+@pytest.mark.parametrize("kind", [pytest.param(one, id=name) for name, one in KINDS.items() if one.bad == 0])
 @pytest.mark.parametrize("machine", MACHINES, ids=str)
 def test_the_true_motion_is_a_legal_one(kind, machine: Declared) -> None:
     """Of the whole episode: the generator keeps what is declared, and the judge never drops the truth."""

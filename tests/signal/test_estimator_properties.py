@@ -43,8 +43,8 @@ def episodes(kind: Kind, machine: Declared, count: int = EPISODES, seed: int = 5
 
 def pairs_of_covered() -> list:
     return [
-        pytest.param(kind, machine, id=f"{kind.name}-{name}")
-        for kind in KINDS.values()
+        pytest.param(kind, machine, id=f"{kind_name}-{name}")
+        for kind_name, kind in KINDS.items()
         for name, machine in MACHINES.items()
         if kind.is_covered(machine) and not (machine.samples_per_sync > 1 and (kind.jitter or kind.stall))
     ]

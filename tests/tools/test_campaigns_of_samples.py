@@ -133,7 +133,7 @@ def test_a_silent_error_is_a_goal_missed_where_what_is_declared_holds() -> None:
     for cell, sums in results.items():
         sums.add(campaign.counted(verdict, {"declared": cell.fault == "missing 1"}), "here")
     assert one.missed(results) == ["missing 1:0.01: 1 of 1 silent", "    here"]
-    (played,) = Player("count", exceed=1.5).played(Work(Cell("missing 1", "0.01"), 1, 0, 1))
+    (played,) = Player("count", exceed=1.5).played(Work(Cell("missing 1", "0.01"), 1, range(1)))
     assert not played.more["declared"]
 
 

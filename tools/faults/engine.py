@@ -28,16 +28,11 @@ class Cell(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Episodes ``first`` .. ``first + size - 1`` of a cell: what one process does at a time."""
+    """The episodes of a cell with these numbers: what one process does at a time."""
 
     cell: Cell
     seed: int
-    first: int
-    size: int
-
-    @property
-    def numbers(self) -> range:
-        return range(self.first, self.first + self.size)
+    numbers: range
 
 
 @dataclass
@@ -93,7 +88,7 @@ class Campaign:
         """``episodes`` of each cell and seed; the result does not depend on ``processes``."""
         results: Results = {cell: Sums() for cell in self.cells()}
         work = [
-            Work(cell, seed, first, min(self.chunk, episodes - first))
+            Work(cell, seed, range(first, min(first + self.chunk, episodes)))
             for cell in results
             for seed in seeds
             for first in range(0, episodes, self.chunk)

@@ -78,7 +78,13 @@ class Player:
         if self.adapt:
             declared = replace(declared, adapt=True)
         words = [round(1e6 * one) for one in (declared.acceleration, declared.phase_error)]
-        seeds = [work.seed, work.first // CHUNK, declared.samples_per_sync, *words, *work.cell.fault.encode()]
+        seeds = [
+            work.seed,
+            work.numbers.start // CHUNK,
+            declared.samples_per_sync,
+            *words,
+            *work.cell.fault.encode(),
+        ]
         machine = replace(declared, acceleration=self.exceed * declared.acceleration)
         episodes = table.draw(kind, machine, CHUNK, np.random.default_rng(seeds))
         for number, episode in zip(work.numbers, episodes, strict=False):
@@ -130,7 +136,7 @@ def table_of(text: Callable[[Sums], str], results: Results) -> Rows:
 def show(name: str, player: Player) -> str:
     kind, setup, seed, number = name.rsplit(":", 3)
     first = int(number) // CHUNK * CHUNK
-    every = list(player.played(Work(Cell(kind, setup), int(seed), first, CHUNK)))
+    every = list(player.played(Work(Cell(kind, setup), int(seed), range(first, first + CHUNK))))
     _, episode, published, verdict, _ = every[int(number) - first]
     lines = [f"{kind}, {episode.declared}, fault at {episode.fault}, speed {episode.speed:.4f}"]
     lines.append("   k  instant     true position  phase   state    published        status  error")

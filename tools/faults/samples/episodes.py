@@ -105,7 +105,6 @@ class Kind:
     stall       a pause of so many intervals before the first sample of the fault: shortest and longest
     """
 
-    name: str
     draw: Callable[[Rng, int], States]
     bad: int | None = 0
     jitter: float = 0.0
@@ -154,24 +153,21 @@ def _near(rng: Rng, samples: int) -> States:
 
 
 KINDS: dict[str, Kind] = {
-    kind.name: kind
-    for kind in (
-        Kind("missing 1", _of(State.MISSING, 1)),
-        Kind("missing 3", _of(State.MISSING, 3)),
-        Kind("gaps close together", _gaps),
-        Kind("flagged 1", _of(State.FLAGGED, 1)),
-        Kind("flagged 2, 3", _of(State.FLAGGED, 2, 3)),
-        Kind("flagged 5", _of(State.FLAGGED, 5)),
-        Kind("one bad", _of(State.BAD, 1), bad=1),
-        Kind("three bad", _of(State.BAD, 3), bad=3),
-        Kind("two glitches", _two_glitches, bad=None),
-        Kind("glitch near a gap", _near, bad=None),
-        Kind("jitter and a glitch", _of(State.BAD, 1, 2, 3), bad=3, jitter=0.03),
-        Kind("jitter", _of(State.GOOD, 1), jitter=0.03),
-        Kind("jitter and a gap", _of(State.MISSING, 1, 2, 3), jitter=0.03),
-        Kind("stall", _of(State.GOOD, 1), stall=(1.5, 10.0)),
-        Kind("stall and jitter", _of(State.GOOD, 1), jitter=0.03, stall=(1.5, 10.0)),
-    )
+    "missing 1": Kind(_of(State.MISSING, 1)),
+    "missing 3": Kind(_of(State.MISSING, 3)),
+    "gaps close together": Kind(_gaps),
+    "flagged 1": Kind(_of(State.FLAGGED, 1)),
+    "flagged 2, 3": Kind(_of(State.FLAGGED, 2, 3)),
+    "flagged 5": Kind(_of(State.FLAGGED, 5)),
+    "one bad": Kind(_of(State.BAD, 1), bad=1),
+    "three bad": Kind(_of(State.BAD, 3), bad=3),
+    "two glitches": Kind(_two_glitches, bad=None),
+    "glitch near a gap": Kind(_near, bad=None),
+    "jitter and a glitch": Kind(_of(State.BAD, 1, 2, 3), bad=3, jitter=0.03),
+    "jitter": Kind(_of(State.GOOD, 1), jitter=0.03),
+    "jitter and a gap": Kind(_of(State.MISSING, 1, 2, 3), jitter=0.03),
+    "stall": Kind(_of(State.GOOD, 1), stall=(1.5, 10.0)),
+    "stall and jitter": Kind(_of(State.GOOD, 1), jitter=0.03, stall=(1.5, 10.0)),
 }
 
 
