@@ -11,6 +11,7 @@ import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from hypothesis import strategies as st
 
@@ -125,47 +126,44 @@ def _frames(can_ids: st.SearchStrategy[int]) -> st.SearchStrategy[Frame]:
     return st.builds(lambda *one: Frame(*one), can_ids, st.binary(max_size=9), st.booleans())
 
 
-def request(*parts: bytes | Bytes) -> st.SearchStrategy[Frame]:
-    return frame(SERVER, *parts)
+request = partial(frame, SERVER)
 
 
 def step(*frames: st.SearchStrategy[Frame], pause_s: float = 0.0) -> Steps:
     return st.tuples(*frames).map(lambda drawn: Step(drawn, pause_s))
 
 
-def _requests(*requests: bytes) -> Step:
-    return Step(tuple(Frame(SERVER, one) for one in requests))
-
-
 def _segments(kind: int, count: int, is_last: bool, filler: bytes) -> Step:
     """Requests with commands that count or toggle, as a good client sends them."""
-    requests = []
+    frames = []
     for n in range(count):
         toggle, last = 0x10 * (n & 1), is_last and n == count - 1
         command = (toggle | last, 0x60 | toggle, n % 127 + 1 | last << 7)[kind]
-        requests.append(bytes([command]) + filler * 7)
-    return _requests(*requests)
+        frames.append(Frame(SERVER, bytes([command]) + filler * 7))
+    return Step(tuple(frames))
+
+
+def _writes(*writes: tuple[int, int, int, int]) -> Step:
+    """Command, index, sub-index and value of each."""
+    return Step(tuple(Frame(SERVER, struct.pack("<BHBI", *one)) for one in writes))
 
 
 def _mapped(pdo: int, cob_id: int, objects: Sequence[int], kind: int) -> Step:
     """Off, other objects, on: the whole sequence of a mapping."""
-    writes = [(pdo, 1, cob_id | 1 << 31), (pdo + 0x200, 0, 0)]
-    writes += [(pdo + 0x200, sub, value) for sub, value in enumerate(objects, start=1)]
-    writes += [(pdo + 0x200, 0, len(objects)), (pdo, 2, kind), (pdo, 1, cob_id & ~(1 << 31))]
-    heads = [b"\x2f" if sub == 0 or (index, sub) == (pdo, 2) else b"\x23" for index, sub, _ in writes]
-    return _requests(*(head + struct.pack("<HBI", *one) for head, one in zip(heads, writes, strict=True)))
+    mapping = pdo + 0x200
+    return _writes(
+        *((0x23, pdo, 1, cob_id | 1 << 31), (0x2F, mapping, 0, 0)),
+        *((0x23, mapping, sub, value) for sub, value in enumerate(objects, start=1)),
+        *((0x2F, mapping, 0, len(objects)), (0x2F, pdo, 2, kind), (0x23, pdo, 1, cob_id & ~(1 << 31))),
+    )
 
 
 def _timing(tpdo: int, kind: int, inhibit: int, timer: int, start: int) -> Step:
     """A TPDO with transmission type, inhibit time, event timer and SYNC start value."""
-    head, cob_id = bytes([tpdo, 0x18]), 0x1A0 + 0x100 * tpdo
-    return _requests(
-        b"\x23" + head + b"\x01" + (cob_id | 1 << 31).to_bytes(4, "little"),
-        b"\x2f" + head + b"\x02" + bytes([kind, 0, 0, 0]),
-        b"\x2b" + head + b"\x03" + (10 * inhibit).to_bytes(4, "little"),
-        b"\x2b" + head + b"\x05" + (10 * timer).to_bytes(4, "little"),
-        b"\x2f" + head + b"\x06" + bytes([start, 0, 0, 0]),
-        b"\x23" + head + b"\x01" + cob_id.to_bytes(4, "little"),
+    pdo, cob_id = 0x1800 + tpdo, 0x1A0 + 0x100 * tpdo
+    return _writes(
+        *((0x23, pdo, 1, cob_id | 1 << 31), (0x2F, pdo, 2, kind), (0x2B, pdo, 3, 10 * inhibit)),
+        *((0x2B, pdo, 5, 10 * timer), (0x2F, pdo, 6, start), (0x23, pdo, 1, cob_id)),
     )
 
 
