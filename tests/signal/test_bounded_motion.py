@@ -1,6 +1,6 @@
 """Windows and junctions hold every legal sample, and no more: against a linear program.
 
-The linear program (tools/faults/samples/legal.py) shares nothing with the estimator. It agrees with another
+The linear program (tools/faults/samples/judge.py) shares nothing with the estimator. It agrees with another
 oracle, the enumeration of all motions over small grids, with the bounds of docs/supervision.md, and with the
 generator of the campaigns.
 """

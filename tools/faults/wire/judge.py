@@ -4,7 +4,7 @@ The rules, by what made the module send (times in T, true receive times):
 
 J1  an ADC PDO: the position is that of the sample in it, of the newest sample heard, or of the last SYNC.
 J2  SYNC s (synchronous TPDOs and RPDOs), or a foreign PDO after it: that of the sample of SYNC s-1, or of s.
-    Where a late host and an unheard SYNC look alike (P2 in wire_physics), also that of the newest one heard.
+    Where a late host and an unheard SYNC look alike (P2 in README.md), also that of the newest one heard.
     With 2013h, that at the SYNC itself, or one period after the sample (docs/latency.md).
 J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
     position at that very moment. So a frozen position is wrong once the machine has moved on.
