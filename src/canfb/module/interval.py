@@ -44,6 +44,12 @@ class SamplingInterval:
         return nominal_s if abs(rough_s - nominal_s) <= AGREES * nominal_s or not rough_s else 0.0
 
     @property
+    def per_sync(self) -> int:
+        """Of the intervals that sample times show, in one of SYNC: 2 where every other SYNC is left out."""
+        unit_s = self.speed_unit_s * self.samples_per_sync
+        return max(1, round(self._syncs.grid.period / unit_s)) if unit_s else 1
+
+    @property
     def seconds(self) -> float:
         """The best that is known: measured, 1006h, or the median of the first intervals."""
         return self.known_s or self._syncs.grid.rough

@@ -171,7 +171,7 @@ class SignalChain:
                 factor = old_s / unit_s
                 self.times.waited *= factor
                 self._left_out *= factor
-                self.stages.estimator.rescale(factor)
+                self.stages.rescale(factor)
             self.on_unit()
         self._follow_unit()
 

@@ -142,10 +142,14 @@ class Stages:
         self.tracks.use_unit(unit_s)
         self._expect_present_speed()
 
-    def sample_faster(self, factor: float) -> None:
+    def rescale(self, factor: float) -> None:
+        """Intervals are counted in a unit that is shorter by ``factor``."""
         self.estimator.rescale(factor)
-        self.reference.slipped()
         self._speed /= factor
+
+    def sample_faster(self, factor: float) -> None:
+        self.rescale(factor)
+        self.reference.slipped()
         self.place = None
 
     # Starts and pauses.

@@ -110,6 +110,7 @@ class Prediction:
             self._valid_samples = 0
             return self._speed_cycles if status & COASTING else None
         self._valid_samples += 1
+        periods *= self._interval.per_sync
         after, lock = float(self._interval.samples_per_sync * periods), self._lock
         if self.follows and lock.locked:
             after = self._intervals(lock.lead + periods * lock.period)
