@@ -12,7 +12,7 @@ from canfb.simulation.faults import Samples
 from tools.faults.engine import Cell, Sums, Work, total
 from tools.faults.samples import campaign
 from tools.faults.samples.campaign import Player
-from tools.faults.samples.episodes import KINDS, Declared, Episode, Published, State, draw, play
+from tools.faults.samples.episodes import KINDS, Declared, Episode, Published, State, draw
 from tools.faults.samples.judge import Cause, Verdict, judge, proof
 from tools.faults.samples.tracks import ENCODER, SETTINGS, judge_tracks
 
@@ -100,7 +100,7 @@ def test_the_wrong_one_of_two_legal_motions_was_guessed() -> None:
     error = np.where(k > episode.fault, -1.0 * (k - episode.fault), 0.0)
     verdict = judged(episode, error, episode.state == State.GOOD)
     assert set(verdict.wrong.values()) == {Cause.GUESSED}
-    assert proof(episode, play(episode), episode.fault + 3).startswith("2 legal motions")
+    assert proof(episode, episode.fault + 3).startswith("2 legal motions")
 
 
 def test_what_the_samples_of_a_healthy_machine_would_be_is_excused() -> None:

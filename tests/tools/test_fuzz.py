@@ -143,7 +143,7 @@ def test_a_server_that_is_stuck_is_found(monkeypatch: pytest.MonkeyPatch) -> Non
     run = started(INTERFACE)
     with pytest.raises(Broken, match="1000h is answered by"):
         run.check_alive()
-    assert run.state is NmtState.PRE_OPERATIONAL
+    assert run.device.state is NmtState.PRE_OPERATIONAL
 
 
 # request, answer, what is wrong; the answers before are right

@@ -104,21 +104,13 @@ class Play:
         self._cob_ids = [self.dictionary.find(*place) or _ABSENT for place in places]
 
     @property
-    def state(self) -> NmtState:
-        return self.device.state
-
-    @property
     def node_id(self) -> int:
         """The present one: LSS may change it."""
         return self.device.node_id
 
-    @property
-    def _is_configured(self) -> bool:
-        return self.node_id != UNCONFIGURED
-
     def start(self) -> None:
         sent = self.device.start(self.now)
-        demand(any(map(self._is_boot_up, sent)) or not self._is_configured, "no boot-up")
+        demand(any(map(self._is_boot_up, sent)) or self.node_id == UNCONFIGURED, "no boot-up")
         self._check_deadline()
 
     def receive(self, frame: Frame) -> list[Frame]:
@@ -134,7 +126,7 @@ class Play:
         return sent
 
     def tick(self) -> None:
-        state, may = self.state, self._services()
+        state, may = self.device.state, self._services()
         self._first.waiting()
         self._second.waiting()
         self._check_sent(self.device.tick(self.now), state, may)
@@ -184,7 +176,7 @@ class Play:
         return Services.of(self.node_id, *[entry.value for entry in self._cob_ids])
 
     def _check_sent(self, sent: list[Frame], before: NmtState, may_before: Services) -> None:
-        after, may_after = self.state, self._services()
+        after, may_after = self.device.state, self._services()
         if not sent and after is before and may_after is may_before and after not in QUIET:
             return
         demand(len(sent) <= MOST_FRAMES, f"{len(sent)} frames at once")
@@ -236,12 +228,15 @@ class Play:
     def check_alive(self) -> None:
         """The next client is served: after a second of silence, in PRE-OPERATIONAL."""
         self.wait(3.0, punctual=False)
-        if not self._is_configured:
+        if self.node_id == UNCONFIGURED:
             for request in (b"\x04\x01", bytes([0x11, NODE_ID]), b"\x04\x00"):
                 self.receive(Frame(LSS, request.ljust(8, b"\x00")))
-            demand(self._is_configured, "LSS gives no node-ID")
+            demand(self.node_id != UNCONFIGURED, "LSS gives no node-ID")
         self.receive(self._addressed(Frame(0x000, bytes([128, NODE_ID]))))
-        demand(self.state is NmtState.PRE_OPERATIONAL, f"NMT does not lead out of {self.state.name}")
+        demand(
+            self.device.state is NmtState.PRE_OPERATIONAL,
+            f"NMT does not lead out of {self.device.state.name}",
+        )
         self.wait(3.0, punctual=False)
         sent = self.receive(self._addressed(Frame(SERVER, b"\x40\x00\x10\x00" + bytes(4))))
         answers = [frame.data[:4] for frame in sent if frame.can_id == self._services().answer]

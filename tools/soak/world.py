@@ -342,18 +342,15 @@ class World:
         self.bus.run_until(all_came_s if all_came_s >= self.bus.now else all_came_s + INTERVAL_S)
 
     def pass_(self, seconds: float) -> None:
+        """Let time pass, in which the master starts a module that has stopped."""
         end = self.bus.now + seconds
         while self.bus.now < end:
             self.bus.run_until(min(end, self.bus.now + HEARTBEAT_S / 2.0))
             if self.bus.now >= self._next_s:
                 self._next_s = self.bus.now + MASTER_S
-                self.care()
-
-    def care(self) -> None:
-        """What the master does now and then: it starts a module that has stopped."""
-        self._events.tick(self.bus.now)
-        if self.module.state is NmtState.PRE_OPERATIONAL:
-            self.nmt(NmtCommand.START)
+                self._events.tick(self.bus.now)
+                if self.module.state is NmtState.PRE_OPERATIONAL:
+                    self.nmt(NmtCommand.START)
 
     def recover(self) -> None:
         """The position is valid again: by itself or, if it is lost, by a reset at a rest."""

@@ -151,7 +151,7 @@ def show(name: str, player: Player) -> str:
         f"early {verdict.early}, silent {verdict.silent}, kept {verdict.kept}, not valid {verdict.not_valid}"
     )
     if verdict.wrong:
-        lines.append(proof(episode, published, max(verdict.wrong)))
+        lines.append(proof(episode, max(verdict.wrong)))
     return "\n".join(lines)
 
 

@@ -14,7 +14,7 @@ samples if it is within the phase error of each. This shares nothing with the es
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -204,19 +204,23 @@ def motions_before(episode: Episode) -> LegalMotions:
     return motions
 
 
+def received(episode: Episode, last: int) -> Iterator[tuple[int, float, float]]:
+    """Number, instant and phase of the samples from the fault to ``last`` that came and were not flagged."""
+    for k in range(episode.fault, last + 1):
+        if episode.state[k] not in (State.MISSING, State.FLAGGED):
+            yield k, float(episode.instants[k]), float(episode.phase[k])
+
+
 def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[int, Cause]:
     motions, truth, near = motions_before(episode), motions_before(episode), episode.declared.wrong_cycles
-    received = ~np.isin(episode.state, (State.MISSING, State.FLAGGED))
     said = dict.fromkeys(wrong.tolist(), Cause.ILLEGAL)
-    for k in range(episode.fault, int(wrong[-1]) + 1):
-        if received[k]:
-            instant, phase = float(episode.instants[k]), float(episode.phase[k])
-            motions.add(instant, phase)
-            if truth.paths:
-                truth.add(instant, phase)
-                here = float(episode.truth[k])
-                truth.paths = [path for path in truth.paths if abs(path[-1] - here) < near]
-        if k in said and received[k]:
+    for k, instant, phase in received(episode, int(wrong[-1])):
+        motions.add(instant, phase)
+        if truth.paths:
+            truth.add(instant, phase)
+            here = float(episode.truth[k])
+            truth.paths = [path for path in truth.paths if abs(path[-1] - here) < near]
+        if k in said:
             fits = [abs(path[-1] - published.position[k]) < near for path in motions.paths]
             if any(fits):
                 said[k] = Cause.EXCUSED if all(fits) and not truth.paths else Cause.GUESSED
@@ -225,12 +229,11 @@ def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[in
     return said
 
 
-def proof(episode: Episode, published: Published, wrong: int) -> str:
+def proof(episode: Episode, wrong: int) -> str:
     """The motions that fit all samples up to ``wrong`` that nothing flagged, and the least bound of each."""
     motions = motions_before(episode)
-    for k in range(episode.fault, wrong + 1):
-        if episode.state[k] not in (State.MISSING, State.FLAGGED):
-            motions.add(float(episode.instants[k]), float(episode.phase[k]))
+    for _, instant, phase in received(episode, wrong):
+        motions.add(instant, phase)
     lines = [f"{len(motions.paths)} legal motions through all samples up to {wrong} that nothing flagged"]
     instants = np.array(motions.instants)
     for path in motions.paths[:10]:
