@@ -8,10 +8,9 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import inspect
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from itertools import groupby
-from pathlib import Path
 from typing import NamedTuple
 
 from canfb.cli.commands import build_parser
@@ -200,24 +199,24 @@ def objects_page() -> str:
 def _device(name: str, node_id: int, title: str) -> Iterator[str]:
     path = eds_path(name)
     described = ObjectDescriptions(path, node_id)
-    details = _Details(path)
+    contents = eds.read(path)
+    sections = eds.sections(contents)
     yield from (f"\n## {title}", "", f"`eds/{name}.eds`; defaults with $NODEID depend on the node-ID.", "")
     entries = sorted(described, key=lambda entry: entry.place)
-    for area, of_area in groupby(entries, key=lambda entry: _area(entry.index)):
+    for area, of_area in groupby(
+        entries, key=lambda one: next(a for first, a in AREAS if one.index >= first)
+    ):
         yield from (f"### {title}: {area}", "")
-        yield from table(HEAD, (details.row(entry) for entry in of_area))
+        yield from table(HEAD, (_row(entry, contents[sections[entry.place]]) for entry in of_area))
         yield ""
     worded = [(entry, list(_words(described.product, entry))) for entry in entries]
     if any(words for _, words in worded):
         yield from (f"### {title}: values in words", "")
         rows = ((f"`{e.number}`", e.title, ", ".join(words)) for e, words in worded if words)
         yield from table(("object", "name", "values"), rows)
-    if details.notes:
-        yield from ("", f"### {title}: notes in the EDS", "", *(f"- {plain(note)}" for note in details.notes))
-
-
-def _area(index: int) -> str:
-    return next(name for first, name in AREAS if index >= first)
+    notes = [line for key, line in contents.get("Comments", {}).items() if key != "Lines"]
+    if notes:
+        yield from ("", f"### {title}: notes in the EDS", "", *(f"- {plain(note)}" for note in notes))
 
 
 def _words(product: str, entry: ObjectDescription) -> Iterator[str]:
@@ -229,26 +228,13 @@ def _words(product: str, entry: ObjectDescription) -> Iterator[str]:
             yield f"bit {value.bit_length() - 1} {word}" if is_bits else f"{value} {word}"
 
 
-class _Details:
-    """What the file says and the descriptions do not hold: default, mapping, comments."""
-
-    def __init__(self, path: Path) -> None:
-        self._contents = eds.read(path)
-        self._sections = eds.sections(self._contents)
-        self.notes = [line for key, line in self._contents.get("Comments", {}).items() if key != "Lines"]
-
-    def row(self, entry: ObjectDescription) -> tuple[str, ...]:
-        section = self._contents[self._sections[entry.place]]
-        default = section.get("DefaultValue", "").strip()
-        limits = (section.get("LowLimit", "").strip(), section.get("HighLimit", "").strip())
-        mapped = section.get("PDOMapping", "0").strip() == "1"
-        return (
-            f"`{entry.number}`",
-            plain(entry.title),
-            type_name(entry.data_type),
-            entry.access,
-            "yes" if mapped else "",
-            plain(entry.unit),
-            f"`{default}`" if default else "",
-            "..".join(limits) if any(limits) else "",
-        )
+def _row(entry: ObjectDescription, section: Mapping[str, str]) -> tuple[str, ...]:
+    """The description of an object, and default, mapping and limits, which only the file has."""
+    default = section.get("DefaultValue", "").strip()
+    limits = (section.get("LowLimit", "").strip(), section.get("HighLimit", "").strip())
+    mapped = section.get("PDOMapping", "0").strip() == "1"
+    return (
+        *(f"`{entry.number}`", plain(entry.title), type_name(entry.data_type), entry.access),
+        *("yes" if mapped else "", plain(entry.unit), f"`{default}`" if default else ""),
+        "..".join(limits) if any(limits) else "",
+    )

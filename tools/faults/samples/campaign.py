@@ -134,7 +134,9 @@ def table_of(text: Callable[[Sums], str], results: Results) -> Rows:
 
 
 def show(name: str, player: Player) -> str:
+    """ValueError if there is no such fault or set-up."""
     kind, setup, seed, number = name.rsplit(":", 3)
+    campaign(player, [kind], [setup])
     first = int(number) // CHUNK * CHUNK
     every = list(player.played(Work(Cell(kind, setup), int(seed), range(first, first + CHUNK))))
     _, episode, published, verdict, _ = every[int(number) - first]
@@ -174,10 +176,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not said.exceed > 0.0 or (said.adapt and said.table != "tracks"):
         options.error("--exceed must be above 0, and --adapt is for the tracks")
     player = Player(said.table, said.exceed, said.adapt)
-    if said.show:
-        print(show(said.show, player))
-        return 0
     try:
+        if said.show:
+            print(show(said.show, player))
+            return 0
         one = campaign(player, said.faults, said.setup)
     except ValueError as error:
         options.error(str(error))
