@@ -160,9 +160,9 @@ def test_the_move_is_limited_in_jerk() -> None:
 @each(
     "values, message",
     [
-        ((0.0, 1.0, 1.0), "speed_rad_s must be positive"),
-        ((1.0, math.inf, 1.0), "acceleration_rad_s2 must be positive"),
-        ((1.0, 1.0, -1.0), "jerk_rad_s3 must be positive"),
+        ((0.0, 1.0, 1.0), "speed_rad_s must be a number"),
+        ((1.0, math.inf, 1.0), "acceleration_rad_s2 must be a number"),
+        ((1.0, 1.0, -1.0), "jerk_rad_s3 must be a number"),
         ((1.0, 100.0, 100.0), "speed_rad_s is too low to reach 100"),
     ],
 )

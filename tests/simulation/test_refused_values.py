@@ -17,7 +17,7 @@ from folding import each
 # What is built, with which arguments besides, the argument that cannot be, its values, and what is said.
 REFUSED: list[tuple[Any, dict[str, Any], str, list[Any], str]] = [
     (Encoder, {}, "adc_bits", [3, 17, 12.0, True], r"adc_bits must be a whole number 4\.\.16"),
-    (Encoder, {}, "noise_lsb", [-0.1, math.nan, math.inf], "noise_lsb must not be"),
+    (Encoder, {}, "noise_lsb", [-0.1, math.nan, math.inf], "noise_lsb must be a number"),
     (Samples.of, {"sine": [1, 2]}, "cosine", [[1]], "one length"),
     (Samples.of, {"sine": [1], "cosine": [1]}, "adc_bits", [3], "adc_bits"),
     (faults.track_drift, {}, "ramp_samples", [0], "ramp_samples"),

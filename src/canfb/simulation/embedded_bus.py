@@ -87,8 +87,7 @@ class SyncProducer(SimulatedDevice):
     """Sends a SYNC each ``period_s`` seconds from power-on; those that are overdue are left out."""
 
     def __init__(self, period_s: float, timing: SyncTiming = REGULAR, seed: int = 1) -> None:
-        if not 0.0 < period_s < math.inf:
-            raise ValueError(f"period_s must be positive, not {period_s!r}")
+        number_in("period_s", period_s, 1e-6, 1e6)
         self.period_s, self._timing = period_s, timing
         self._true_s = period_s / (1.0 + timing.sync_drift_ppm * 1e-6)  # the period in true time
         self._rng = np.random.default_rng((seed, 0x80))
@@ -108,9 +107,7 @@ class SyncProducer(SimulatedDevice):
         self._next_s = max(now, self._start_s + self._number * self._true_s + self.deviation_s())
 
     def deviation_s(self) -> float:
-        """By how much the next SYNC goes out late (or, negative, early), at most 0.45 periods: they keep
-        their order.
-        """
+        """How late the next SYNC goes out (negative: early), at most 0.45 periods: they keep their order."""
         timing, rng, largest_s = self._timing, self._rng, LARGEST_PART * self.period_s
         off_us = timing.sync_jitter_us * float(rng.uniform(-1.0, 1.0))
         off_us += timing.sync_jitter_rms_us * max(-CUT_OFF, min(CUT_OFF, float(rng.normal())))

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from canfb.checks import integer_in
+from canfb.checks import number_in, within
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 
@@ -33,13 +33,6 @@ class AnalogPath:
     cosine_corner_hz: float = 0.0
     cosine_delay_s: float = 0.0
     delay_s: float = 0.0
-
-    def lag_s(self, hertz: float) -> float:
-        lag_s = self.delay_s
-        if self.sine_corner_hz:
-            ratio = hertz / self.sine_corner_hz
-            lag_s += (math.atan(ratio) / ratio if ratio else 1.0) / (2.0 * math.pi * self.sine_corner_hz)
-        return lag_s
 
 
 IDEAL_PATH = AnalogPath()
@@ -73,7 +66,7 @@ class Encoder(TrackErrors):
     amplitude_counts                nominal amplitude A of the tracks
     harmonics                       of either track, relative to its amplitude
     adc_bits                        4..16; counts are rounded and held at the ends
-    noise_lsb                       rms of Gaussian noise before the ADC, counts
+    noise_lsb                       rms of Gaussian noise before the ADC, counts, 0..1e6
     ValueError for anything else.
     """
 
@@ -84,9 +77,7 @@ class Encoder(TrackErrors):
     path: AnalogPath = IDEAL_PATH
 
     def __post_init__(self) -> None:
-        integer_in("adc_bits", self.adc_bits, 4, 16)
-        if not 0.0 <= self.noise_lsb < math.inf:
-            raise ValueError(f"noise_lsb must not be negative: {self.noise_lsb!r}")
+        within(self, adc_bits=(4, 16), noise_lsb=(0.0, 1e6))
 
     def tracks(
         self, position_cycles: npt.ArrayLike, hertz: npt.ArrayLike = 0.0
@@ -317,7 +308,7 @@ class Motion:
 class SCurve:
     """Position over time: at rest until ``start_s``, then to ``speed_rad_s`` at ``end_s`` with limited jerk.
 
-    ValueError unless all are positive, and the speed suffices to reach the acceleration.
+    ValueError unless all are 1e-9..1e12, and the speed suffices to reach the acceleration.
     """
 
     def __init__(
@@ -329,8 +320,7 @@ class SCurve:
             "jerk_rad_s3": jerk_rad_s3,
         }
         for name, value in move.items():
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"{name} must be positive, not {value!r}")
+            number_in(name, value, 1e-9, 1e12)
         rise_s = acceleration_rad_s2 / jerk_rad_s3
         level_s = speed_rad_s / acceleration_rad_s2 - rise_s
         if level_s < 0.0:

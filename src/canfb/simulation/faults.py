@@ -154,8 +154,7 @@ def track_drift(
     phase_rad                    the cosine track becomes A cos(x - phase_rad)
     ramp_samples                 intervals until the end values, at least 1: ValueError
     """
-    if ramp_samples < 1:
-        raise ValueError(f"ramp_samples must be at least 1, not {ramp_samples}")
+    integer_in("ramp_samples", ramp_samples, 1, 1 << 31)
     gain, offset = np.array([[sine_gain], [cosine_gain]]), np.array([[sine_offset], [cosine_offset]])
 
     def drifted(tracks: Tracks, full: int, rng: Rng) -> Tracks:

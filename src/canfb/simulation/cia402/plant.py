@@ -10,7 +10,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from canfb.checks import flag, within
+from canfb.checks import LARGEST, flag, number_in, within
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import TimeBase
@@ -120,8 +120,7 @@ class Motor:
 
     def run(self, duration_s: float) -> None:
         """Let this many seconds pass, 0 or more; ValueError for a time that goes back."""
-        if not 0.0 <= duration_s < math.inf:
-            raise ValueError(f"duration_s must be 0 or more seconds, not {duration_s!r}")
+        number_in("duration_s", duration_s, 0.0, LARGEST)
         if duration_s == 0.0:
             return
         left_s = duration_s - max(LONG_S, SETTLED * self.config.torque_time_constant_s)
