@@ -56,20 +56,12 @@ class ChannelScaling:
         return max(-full_scale, min(counts, full_scale - 1))
 
 
-class ChannelValues:
-    """Reads a channel out of a buffer; libiio makes numbers of its byte order, bits and sign."""
-
-    def __init__(self, channel: Any) -> None:
-        channel.enabled = True
-        self._channel = channel
-        self._bytes = channel.data_format.length // 8
-        self._signed = bool(channel.data_format.is_signed)
-
-    def last(self, buffer: Any) -> int:
-        data = self._channel.read(buffer)
-        if len(data) < self._bytes:
-            raise OSError(errno.EIO, "the buffer is empty")
-        return int.from_bytes(data[-self._bytes :], sys.byteorder, signed=self._signed)
+def last_reading(channel: Any, size: int, signed: bool, buffer: Any) -> int:
+    """The newest in a buffer; libiio makes numbers of its byte order, bits and sign."""
+    data = channel.read(buffer)
+    if len(data) < size:
+        raise OSError(errno.EIO, "the buffer is empty")
+    return int.from_bytes(data[-size:], sys.byteorder, signed=signed)
 
 
 def binding() -> Any:
@@ -83,15 +75,6 @@ def binding() -> Any:
     if iio.version[0] != 0:
         raise BusError(f"source kind iio needs libiio 0.x and pylibiio below 1, not {iio.version[2]}")
     return iio
-
-
-def open_context(iio: Any, uri: str) -> Any:
-    try:
-        context = iio.Context(uri)
-        context.set_timeout(TIMEOUT_MS)
-    except OSError as error:
-        raise BusError(f"IIO context {uri!r}: {hint(error)}") from error
-    return context
 
 
 def find_device(iio: Any, context: Any, key: str, name: str, uri: str) -> Any:
@@ -262,12 +245,13 @@ class IioCapture:
     """An open device, whose kernel buffers both channels. ConfigError, with the key, or BusError."""
 
     def __init__(self, config: IioSourceConfig) -> None:
-        iio = binding()
-        self._context = open_context(iio, config.uri)
+        iio, where = binding(), f"IIO context {config.uri!r}"
         try:
+            self._context = iio.Context(config.uri)
+            self._context.set_timeout(TIMEOUT_MS)
+            where = f"IIO device {config.device!r} of {config.uri}"
             self._open(iio, config)
         except OSError as error:
-            where = f"IIO device {config.device!r} of {config.uri}"
             raise BusError(f"{where}: {hint(error)}") from error
 
     def _open(self, iio: Any, config: IioSourceConfig) -> None:
@@ -299,7 +283,10 @@ class IioCapture:
         choose_clock(device)
         for channel in device.channels:
             channel.enabled = False
-        self._channels = [ChannelValues(channel) for channel in channels]
+        for channel in channels:
+            channel.enabled = True
+        formats = [(channel, channel.data_format) for channel in channels]
+        self._channels = [(one, form.length // 8, bool(form.is_signed)) for one, form in formats]
         device.set_kernel_buffers_count(config.buffer_scans)
         self._buffer = iio.Buffer(device, 1)
         self._taken_ns: int | None = None  # time of the last scan
@@ -323,7 +310,7 @@ class IioCapture:
             if error.errno == errno.ETIMEDOUT:
                 return None
             raise
-        values = [channel.last(self._buffer) for channel in self._channels]
+        values = [last_reading(*channel, self._buffer) for channel in self._channels]
         counts = self._scaling.counts
         if len(values) < 3:
             return Sample(counts(values[0]), counts(values[1]))
