@@ -163,7 +163,7 @@ def test_unsigned_readings_are_refused_with_the_options_that_they_need(case: str
     words = options.split()
     named = dict(zip(words[::2], words[1::2], strict=True))
     layout = replace(AB, mid_scale=float(named["--mid-scale"]), scale=float(named.get("--scale", 1.0)))
-    counts = np.array(open_recording(path, layout).tracks())
+    counts = np.array(open_recording(path, layout).tracks)
     assert (counts.min(axis=1) < 0).all()
     assert (abs(counts.min(axis=1) + counts.max(axis=1)) < 0.1 * np.ptp(counts, axis=1)).all()
 
@@ -174,4 +174,4 @@ def test_one_unsigned_track_and_a_standing_machine_are_read(tmp_path: Path) -> N
     turning, standing = (2048 + 1500 * np.sin(angle), 1500 * np.cos(angle)), (0 * angle + 700, 0 * angle + 9)
     for sine, cosine in (turning, standing):
         rows = "".join(f"{s:.0f},{c:.0f}\n" for s, c in zip(sine, cosine, strict=True))
-        assert len(open_recording(written(tmp_path, f"a,b\n{rows}"), AB).tracks()[0]) == 500
+        assert len(open_recording(written(tmp_path, f"a,b\n{rows}"), AB).tracks[0]) == 500

@@ -207,7 +207,7 @@ def _csv(path: Path) -> None:
     for time in (None, "t"):
         layout = RecordingLayout(("sine", "cosine"), 0.0, time, time_stamps=True, paced=True)
         source = open_recording(path, layout)
-        for _ in range(min(SAMPLES, len(source.tracks()[0]))):
+        for _ in range(min(SAMPLES, len(source.tracks[0]))):
             source.next()
 
 

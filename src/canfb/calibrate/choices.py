@@ -173,7 +173,7 @@ class CalibrateOptions:
             found = read_npz(path)
             return TrackSamples(found.sine, found.cosine, self.sample_rate or found.rate_hz, found.origin)
         recording = open_recording(path, self._layout)
-        return TrackSamples.of(*recording.tracks(), self.sample_rate, f"file {path.name}{recording.note}")
+        return TrackSamples.of(*recording.tracks, self.sample_rate, f"file {path.name}{recording.note}")
 
     def samples_of_folder(self, folder: Path) -> list[SpeedSamples]:
         """The files of a folder in the order of their names, with the speeds that are given or in them.

@@ -306,12 +306,9 @@ def difference(one: CorrectionTable | None, other: CorrectionTable | None) -> tu
     """Rms and peak, cycles; None is the identity."""
     length = max(len(table) for table in (one, other) if table is not None) if one or other else 1
     raw = np.arange(length) / length
-    apart = (_phases(one, raw) - _phases(other, raw) + 0.5) % 1.0 - 0.5
+    phases, others = (raw if table is None else np.asarray(table(raw)) for table in (one, other))
+    apart = (phases - others + 0.5) % 1.0 - 0.5
     return root_mean(apart), peak(apart)
-
-
-def _phases(table: CorrectionTable | None, raw: np.ndarray[Any, Any]) -> Any:
-    return raw if table is None else table(raw)
 
 
 LOOKS, LOOK_S = 10, 0.01

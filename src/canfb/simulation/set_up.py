@@ -74,8 +74,7 @@ class MotionDemand:
     @property
     def left_rad_s2(self) -> float:
         """What eq. 10 allows beside the errors of the encoder; 0.0 if they need the whole limit."""
-        left = self.module.residual_limit - self.errors_cycles
-        return max_acceleration(self.module.cycles_per_revolution, self.rate_hz, left) if left > 0.0 else 0.0
+        return self.allowed_rad_s2 * max(0.0, 1.0 - self.errors_cycles / self.module.residual_limit)
 
     @property
     def asked(self) -> float:
@@ -373,7 +372,7 @@ def _demand(
             return None
         demand = of_drive(drive.plant.motor.config, drive.dictionary, module, rate_hz)
     elif isinstance(source, RecordingSource):
-        demand = of_recording(*source.tracks(), module, rate_hz, str(play.file))
+        demand = of_recording(*source.tracks, module, rate_hz, str(play.file))
     else:
         demand = of_motion(simulation.motion, module, rate_hz)
     return replace(demand, per_sync=per_sync)

@@ -113,13 +113,10 @@ class RecordingSource:
     def __init__(
         self, sine: FloatArray, cosine: FloatArray, time_100ns: list[int] | None = None, note: str = ""
     ) -> None:
-        self._tracks = sine, cosine
+        self.tracks = sine, cosine
         self.note = note
         times = itertools.repeat(None) if time_100ns is None else time_100ns
         self._samples = zip(sine.tolist(), cosine.tolist(), times, strict=False)
-
-    def tracks(self) -> tuple[FloatArray, FloatArray]:
-        return self._tracks
 
     def next(self) -> Sample | None:
         try:
