@@ -317,15 +317,11 @@ def where_words(where: Provenance) -> dict[str, Any]:
         "command": where.command or None,
         "encoder": where.encoder or None,
         "module": where.module,
-        "module_identity": _listed(where.identity),
+        "module_identity": where.identity and list(where.identity),
         "encoder_interface": where.encoder_interface,
-        "encoder_interface_identity": _listed(where.interface_identity),
+        "encoder_interface_identity": where.interface_identity and list(where.interface_identity),
         "cycles_per_revolution": where.cycles_per_revolution,
     }
-
-
-def _listed(identity: tuple[int, ...] | None) -> list[int] | None:
-    return None if identity is None else list(identity)
 
 
 def percent(cycles: float, where: Provenance) -> str:

@@ -103,10 +103,6 @@ class Motor:
         self.braked = True
         self._steps: deque[tuple[float, float, float]] = deque(maxlen=REMEMBERED_STEPS)
 
-    @property
-    def load_nm(self) -> float:
-        return self.config.load_torque_nm if self.time_s >= self.config.load_at_s else 0.0
-
     def revolutions_before(self, seconds: float) -> float:
         """Position this many seconds ago, or, negative, ahead: then at the present speed."""
         instant_s, after = self.time_s - seconds, (self.time_s, self.revolutions, self.speed_rad_s)
@@ -143,7 +139,8 @@ class Motor:
         kept = math.exp(-step_s / lag) if lag > 0.0 else 0.0
         mean = self.command_nm - change * (lag / step_s * (1.0 - kept) if lag > 0.0 else 0.0)
         self.torque_nm = self.command_nm - change * kept
-        self._move(mean - self.load_nm, step_s)
+        load = self.config.load_torque_nm if self.time_s >= self.config.load_at_s else 0.0
+        self._move(mean - load, step_s)
         self.time_s += step_s
 
     def _move(self, torque_nm: float, step_s: float) -> None:
