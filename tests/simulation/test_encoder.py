@@ -126,9 +126,7 @@ def test_the_steady_response_is_that_of_the_filter() -> None:
 CORNERS = AnalogPath(sine_corner_hz=125e3, cosine_corner_hz=125e3)
 
 
-@each(
-    "path, lag", [(CORNERS, math.atan(HERTZ / 125e3) / 2 / math.pi), (AnalogPath(delay_s=2e-6), HERTZ * 2e-6)]
-)
+@each("path, lag", [(CORNERS, math.atan(HERTZ / 125e3) / math.tau), (AnalogPath(delay_s=2e-6), HERTZ * 2e-6)])
 def test_the_lag_is_that_of_the_phase(path: AnalogPath, lag: float) -> None:
     encoder = Encoder(path=path)
     sine, cosine = encoder.tracks(0.3, HERTZ)
@@ -137,8 +135,7 @@ def test_the_lag_is_that_of_the_phase(path: AnalogPath, lag: float) -> None:
 
 
 def test_a_shaft_knows_its_speed() -> None:
-    path = AnalogPath(sine_corner_hz=125e3, cosine_corner_hz=125e3)
-    shaft = ShaftEncoder(Encoder(path=path), 2500)
+    shaft = ShaftEncoder(Encoder(path=CORNERS), 2500)
     motion = Motion((), start_rpm=3000.0)
     amplitudes = [math.hypot(*shaft.sample(k * 1e-3, motion.revolutions)[:2]) for k in range(1, 20)]
     assert np.mean(amplitudes) == pytest.approx(1500.0 / math.sqrt(2.0), rel=1e-3)
