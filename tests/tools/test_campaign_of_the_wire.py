@@ -35,6 +35,8 @@ FOUND = (  # each was valid and wrong
     "SYNC doubled, later:plain/rx:56001000010",
     "PDO replayed:counter:57001000007",
     "witness, deaf:servo:1870003000013",
+    "RPDO2 lost, SYNC lost:plain/rx:1910002000000",
+    "RPDO2 lost, SYNC lost:counter/rx:1910002000012",
     "predict, SYNC stops or slows:times/rx:1900002000003",
     "predict, another rate:times/rx:1900002000001",
     "PDOs behind later SYNCs, some lost:plain/rx:1880006000008",

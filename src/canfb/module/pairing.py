@@ -152,14 +152,12 @@ class Pairing(ProcessData):
             self._account(verdict, counter, now, waiting, due)
         if self._second.number is not None:
             self._second.interval_over(not (verdict.lost or late or after_extra))
-        if parts.arrived and not self.answers.waits:
-            self._give_up()
-        if not self._sample_came and self.sampled and self._synced and source is None:
-            if parts.is_synchronous and not self._tracks_came:
-                self._miss_to(place, now)
-            elif self._tracks_came:  # without the rest of the sample
-                self._miss(int(self._elapsed), now)
-        self._sample_came, self._tracks_came, self._stale = 0, False, False
+        nothing_came = not (self._sample_came or self._tracks_came)
+        if parts.is_synchronous and nothing_came and self.sampled and self._synced and source is None:
+            self._miss_to(place, now)
+        if not (parts.arrived and self.answers.waits):
+            self._end_parts(now)
+        self._sample_came, self._stale = 0, False
         self._synced = True
         in_turn = not self._prediction.follows if parts.timed else due == self._accounted == self._answered
         if source is not None:
@@ -251,9 +249,10 @@ class Pairing(ProcessData):
             return False
         if self._ambiguous and not self.timed:
             self._lose_count(1.0, now)  # which of them the last sample answers stays open
+        self._end_parts(now)
         self._accounted += self._heard_of(syncs.place - self._accounted)
         self._miss_to(syncs.place, now)
-        self._tracks_came = self._ambiguous = False
+        self._ambiguous = False
         self._stale = self._input.is_synchronous
         return True
 
@@ -300,22 +299,26 @@ class Pairing(ProcessData):
             self.usual = NO_RPDO
         if self._stale or self._source is not None:
             return
+        apart_s, most_s = self._call.received - self._begun_s, TOGETHER * self.syncs.grid.rough
+        if parts.arrived and self.answers.waits and apart_s > most_s:
+            self._end_parts(now)
+        if not parts.arrived:
+            self._begun_s = self._call.received
         if number == parts.judged:
             elapsed = self._judged(now)
             if elapsed is None:
                 return
             self._tracks_came, self._elapsed = True, elapsed
-        if not parts.arrived:
-            self._begun_s = self._call.received
-        elif self.answers.waits and self._call.received - self._begun_s > TOGETHER * self.syncs.grid.rough:
-            self._give_up()
-            self._begun_s = self._call.received
         if number == parts.alone or parts.take(number):
             self._complete(parts.sample(), now)
 
-    def _give_up(self) -> None:
-        if self._input.give_up():
+    def _end_parts(self, now: float) -> None:
+        """No more of them come: tracks without the rest of their sample are a missed one."""
+        if self._input.arrived and self._input.give_up():
             self.count_bad_frame()
+        if self._tracks_came and self.sampled and self._synced:
+            self._miss(int(self._elapsed), now)
+        self._tracks_came = False
 
     def _judged(self, now: float) -> float | None:
         call, syncs, answers, chain = self._call, self.syncs, self.answers, self._chain
@@ -344,7 +347,7 @@ class Pairing(ProcessData):
                 self.count_bad_frame()
                 return None
             if later > 0:
-                self._pass_lost(later)
+                self._pass_lost(later, now)
                 # It may still come.
                 self._ambiguous = call.received < syncs.grid.due - syncs.grid.period + syncs.grid.allowed
             place += later
@@ -376,10 +379,10 @@ class Pairing(ProcessData):
         self._accounted = self._answered = place
         return float(elapsed)
 
-    def _pass_lost(self, syncs: int) -> None:
+    def _pass_lost(self, syncs: int, now: float) -> None:
         """So many SYNCs were not received, and these tracks answer the last of them."""
         self.syncs.advance(syncs)
-        self._give_up()
+        self._end_parts(now)
         if self.sampled:
             _count(self._lost_syncs, syncs)
         self._sample_came = 0
@@ -390,7 +393,7 @@ class Pairing(ProcessData):
         if sample.time_100ns is not None:
             self._timed(sample, now)
             return
-        self._sample_came = True
+        self._sample_came, self._tracks_came = 1, False
         judged = self._input.judged is not None
         self._take(sample, self._elapsed if judged else self._answer(self.syncs.place), now)
 

@@ -382,6 +382,9 @@ CLASSES = {
     "zero pulse, first false": WireClass(ZERO_PULSES, first_pulse_false, after=200),
     "RPDO2 doubled": WireClass(ZERO_PULSES, EXTRA_DOUBLED),
     "RPDO2 lost": WireClass(ZERO_PULSES, EXTRA_LOST),
+    "RPDO2 lost, SYNC lost": WireClass(
+        any_of(ZERO_PULSES, COARSE), EXTRA_LOST, any_of(UNHEARD_BY_MODULE, sync_stops)
+    ),
     "second position, any loss": WireClass(SECOND, any_of(any_loss, EXTRA_DOUBLED, EXTRA_LOST), after=160),
     "witness, pause or bus-off": WireClass(WITNESS, any_of(pause, bus_off), torque=0.0, after=160),
     "witness, deaf": WireClass(WITNESS, deaf(between(1, 60)), after=200),

@@ -237,7 +237,8 @@ class Judge:
             samples = {cause.number, one.newest, *self._samples_of(slot, slot)}
             return [line.positions[n] for n in samples] + self._named(samples)
         if cause is not None and cause.what in ("sync", "foreign"):
-            sampled = self._samples_of(cause.number - 1, cause.number)
+            late = int(self._plan.options.answer_s / self._plan.options.interval_s + 1.0)  # 2010:0E
+            sampled = self._samples_of(cause.number - late, cause.number)
             true = [line.positions[n] for n in sampled] or [
                 float(self._plan.motion.at([cause.time - 1.0])[0])
             ]

@@ -62,7 +62,8 @@ def drive(
     sent: list[Sent] = []
     times = [begin_s + event.time * interval_s for event in events]
     at, count, now, stuck = 0, len(events), begin_s, 0
-    newest = -1
+    last_part = "extra" if plan.options.extra or plan.options.coarse else "pdo"
+    newest = tracks = -1
     while True:
         due = module.deadline()
         trigger = min(times[at] if at < count else end_s, math.inf if due is None else due)
@@ -79,7 +80,8 @@ def drive(
             if frame is not None:
                 if stamps:
                     frame = frame._replace(timestamp=min(times[at] + noise[at], now))
-                if event.what == "pdo" and event.number > newest:
+                tracks = event.number if event.what == "pdo" else tracks
+                if event.what == last_part and newest < event.number == tracks:
                     newest = event.number
                 out = module.receive(frame, now)
             else:
