@@ -18,7 +18,6 @@ import signal
 import socket
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -56,12 +55,7 @@ def python_can_bus(options: argparse.Namespace) -> can.BusABC:
         return SocketcanBus(options.channel)
     given = socket.socket(fileno=options.fd)
     logging.getLogger("can").setLevel(logging.CRITICAL)  # it is no CAN socket, and takes no such option
-    stand_ins: dict[str, Callable[..., Any]] = {
-        "create_socket": lambda: given,
-        "bind_socket": lambda *arguments: None,
-    }
-    for name, stand_in in stand_ins.items():
-        setattr(socketcan, name, stand_in)
+    vars(socketcan).update(create_socket=lambda: given, bind_socket=lambda *arguments: None)
     return SocketcanBus("given")
 
 
@@ -115,10 +109,12 @@ def main() -> int:
     parser.add_argument("--realtime", choices=REALTIME, default="no")
     options = parser.parse_args()
     cpu = max(os.sched_getaffinity(0))
-    wishes: dict[str, Any] = {"priority": PRIORITY, "lock_memory": True, "cpu": cpu}
-    if options.realtime == "busy":
-        wishes = {"lock_memory": True, "cpu": cpu, "busy_poll": True}
-    realtime = {} if options.realtime == "no" else wishes
+    wishes: dict[str, dict[str, Any]] = {
+        "no": {},
+        "yes": {"priority": PRIORITY, "lock_memory": True, "cpu": cpu},
+        "busy": {"lock_memory": True, "cpu": cpu, "busy_poll": True},
+    }
+    realtime = wishes[options.realtime]
     if options.kind == "stock":
         serve_stock(python_can_bus(options), RealtimeConfig(**realtime))
     elif options.kind == "floor":

@@ -43,15 +43,29 @@ class Kernel:
     detail: str
     prefix: tuple[str, ...] = ()
 
-    def interface(self) -> contextlib.AbstractContextManager[None]:
-        return contextlib.nullcontext() if self.prefix else interface(CHANNEL)
+    @contextlib.contextmanager
+    def interface(self) -> Iterator[None]:
+        """CHANNEL is up, and afterwards as it was; with a prefix that sees to it."""
+        state = "up" if self.prefix else interface_state(CHANNEL)
+        if state is None and not _succeeds("ip", "link", "add", "dev", CHANNEL, "type", "vcan"):
+            raise VcanError(f"ip link add dev {CHANNEL} type vcan: failed")
+        if state != "up" and not _succeeds("ip", "link", "set", CHANNEL, "up"):
+            raise VcanError(f"ip link set {CHANNEL} up: failed")
+        try:
+            yield
+        finally:
+            if state is None:
+                _succeeds("ip", "link", "del", "dev", CHANNEL)
+            elif state == "down":
+                _succeeds("ip", "link", "set", CHANNEL, "down")
 
 
-def interface_state(name: str, folder: Path = Path("/sys/class/net")) -> str | None:
+def interface_state(name: str) -> str | None:
     """ "up" or "down" for a CAN interface, None where there is no such CAN interface."""
+    folder = Path("/sys/class/net", name)
     try:
-        kind = (folder / name / "type").read_text().strip()
-        flags = int((folder / name / "flags").read_text(), 16)
+        kind = (folder / "type").read_text().strip()
+        flags = int((folder / "flags").read_text(), 16)
     except OSError:
         return None
     if kind != ARPHRD_CAN:
@@ -76,22 +90,6 @@ def _succeeds(*command: str) -> bool:
     path = which(command[0]) or command[0]
     done = subprocess.run([path, *command[1:]], stdin=subprocess.DEVNULL, capture_output=True, check=False)
     return done.returncode == 0
-
-
-@contextlib.contextmanager
-def interface(name: str) -> Iterator[None]:
-    state = interface_state(name)
-    if state is None and not _succeeds("ip", "link", "add", "dev", name, "type", "vcan"):
-        raise VcanError(f"ip link add dev {name} type vcan: failed")
-    if state != "up" and not _succeeds("ip", "link", "set", name, "up"):
-        raise VcanError(f"ip link set {name} up: failed")
-    try:
-        yield
-    finally:
-        if state is None:
-            _succeeds("ip", "link", "del", "dev", name)
-        elif state == "down":
-            _succeeds("ip", "link", "set", name, "down")
 
 
 def find() -> Kernel | Machine:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 MODULE_ROOT = Path("/usr/lib/uml/modules")
-MEMORY_MIB = 1024
+MEMORY_MIB, MEMORY_FOLDERS = 1024, ("/dev/shm", "/tmp", "/var/tmp")
 BOOT_SILENCE_S = 60.0
 POLL_S = 0.02
 SYSTEM_PATH = "/usr/local/sbin:/usr/sbin:/sbin"
@@ -132,15 +132,17 @@ def shell_line(command: Sequence[str], size: os.terminal_size) -> str:
     return f"{stty}\nsetsid -w -c {as_here(command)} </dev/tty0 >/dev/tty0 2>&1"
 
 
-def memory_folder(candidates: Sequence[str] = ("/dev/shm", "/tmp", "/var/tmp")) -> str:
+def memory_folder() -> str:
     """Folder for the file that is the machine's memory: it needs the room, and must allow execution."""
-    for folder in candidates:
+    for folder in MEMORY_FOLDERS:
         with contextlib.suppress(OSError):
             state = os.statvfs(folder)
             room = state.f_bavail * state.f_frsize
             if room >= MEMORY_MIB << 20 and not state.f_flag & os.ST_NOEXEC and os.access(folder, os.W_OK):
                 return folder
-    raise VcanError(f"no folder with {MEMORY_MIB} MiB free that allows execution: {', '.join(candidates)}")
+    raise VcanError(
+        f"no folder with {MEMORY_MIB} MiB free that allows execution: {', '.join(MEMORY_FOLDERS)}"
+    )
 
 
 # --- a run
