@@ -262,21 +262,21 @@ def test_more_poles_are_seen_by_three_speeds(poles: int) -> None:
     assert found.is_detected
     assert found.checked
     assert not found.is_one_pole
-    assert found.may_have_two_poles == (poles == 2)
-    assert found.other is not None
-    if poles == 2:
-        assert found.other.delay_s == pytest.approx(1.0 / (math.pi * 150e3), rel=1e-6)
-        assert found.other.delay_s > 1.2 * found.delay_s
+    delay_s = found.two_poles_delay_s
+    assert (delay_s is not None) == (poles == 2)
+    if delay_s is not None:
+        assert delay_s == pytest.approx(1.0 / (math.pi * 150e3), rel=1e-6)
+        assert delay_s > 1.2 * found.delay_s
 
 
 def test_two_speeds_do_not_tell_one_pole_from_two() -> None:
     f = np.array([2541.0, 125_041.0])
     found = fit_low_pass(f, 1500.0 / np.hypot(1.0, f / 125e3), np.full(2, AMPLITUDE_REPEATS))
     assert not found.checked
-    assert found.may_have_two_poles
+    assert found.two_poles_delay_s is not None
     several = np.array(SPEEDS_HZ)
     found = fit_low_pass(several, 1500.0 / np.hypot(1.0, several / 125e3), np.full(4, AMPLITUDE_REPEATS))
-    assert not found.may_have_two_poles
+    assert found.two_poles_delay_s is None
 
 
 def test_both_directions_at_one_speed_tell_the_delay_alone() -> None:

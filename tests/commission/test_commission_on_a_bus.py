@@ -309,13 +309,13 @@ def test_the_amplitude_is_within_its_limits_at_every_write() -> None:
     "low_pass, before, words, changes",
     [
         (None, 0.0, None, False),
-        (LowPass(0.0, 0.0, 1e5, 1.0, 0.0, True, 1e6), 0.0, None, False),
-        (LowPass(0.0, 0.0, 1e5, 1.0, 0.0, True, 1e6), 125e3, "does not fall", False),
-        (LowPass(8e-6, 1e-8, 1e5, 0.78, 0.02, True), 0.0, "by one pole", False),
-        (LowPass(8e-6, 1e-8, 1e5, 0.78, 0.0, False), 0.0, "by one pole", False),
-        (LowPass(8e-6, 1e-8, 1e5, 0.78, 0.0, True), 0.0, "125 ± 0.2 kHz", True),
-        (LowPass(8e-6, 1e-8, 1e5, 0.78, 0.0, True), 130e3, "125 ± 0.2 kHz", False),
-        (LowPass(8e-6, 1e-8, 1e5, 0.78, 0.0, True), 250e3, "125 ± 0.2 kHz", True),
+        (LowPass(0.0, 0.0, 1e5, 0.0, True, 1e6), 0.0, None, False),
+        (LowPass(0.0, 0.0, 1e5, 0.0, True, 1e6), 125e3, "does not fall", False),
+        (LowPass(8e-6, 1e-8, 1e5, 0.02, True), 0.0, "by one pole", False),
+        (LowPass(8e-6, 1e-8, 1e5, 0.0, False), 0.0, "by one pole", False),
+        (LowPass(8e-6, 1e-8, 1e5, 0.0, True), 0.0, "125 ± 0.2 kHz", True),
+        (LowPass(8e-6, 1e-8, 1e5, 0.0, True), 130e3, "125 ± 0.2 kHz", False),
+        (LowPass(8e-6, 1e-8, 1e5, 0.0, True), 250e3, "125 ± 0.2 kHz", True),
     ],
 )
 def test_when_the_corner_is_proposed(

@@ -337,10 +337,8 @@ def wait_for_speed(
 
 
 def _steady_at(last: Sequence[float], speeds_rpm: Sequence[float]) -> float | None:
-    if len(last) < READINGS:
-        return None
     mean = math.fsum(last) / len(last)
-    if max(last) - min(last) > max(STEADY_PART * abs(mean), STEADY_RPM):
+    if len(last) < READINGS or max(last) - min(last) > max(STEADY_PART * abs(mean), STEADY_RPM):
         return None
     if min(speeds_rpm) > 0.0:
         mean = abs(mean)

@@ -63,7 +63,6 @@ def path_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
     between = (
         f"{path.cosine_delay_s * 1e9:.4g} {sigma} (2002:06)" if path.cosine_delay_s else f"none; {sigma}"
     )
-    two_poles = low_pass.other if low_pass.may_have_two_poles else None
     return [
         Row(
             "cosine after the sine",
@@ -84,7 +83,7 @@ def path_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
             delay_words(low_pass, where),
             delay_estimate_s=low_pass.delay_s if seen else None,
             delay_estimate_uncertainty_s=sigma_s if math.isfinite(sigma_s) else None,
-            delay_estimate_two_poles_s=None if two_poles is None else two_poles.delay_s,
+            delay_estimate_two_poles_s=low_pass.two_poles_delay_s,
             delay_estimate_one_pole=low_pass.is_one_pole and low_pass.checked,
         ),
         Row("delay, 2002:07", delay_set_words(over), delay_s=over.after.correction.conditioning.delay_s),
@@ -107,10 +106,10 @@ def delay_words(low_pass: LowPass, where: Provenance) -> str:
         f"{low_pass.delay_cycles(low_pass.top_hz):.3g} ± "
         f"{low_pass.delay_sigma_cycles(low_pass.top_hz):.1g} cycle at {at}, if the low-pass has one pole; "
     )
-    if low_pass.may_have_two_poles and low_pass.other is not None:
+    if low_pass.two_poles_delay_s is not None:
         return (
-            f"{words}{low_pass.other.delay_s * 1e6:.3g} µs with two equal poles, which these speeds do not "
-            "rule out: half of the highest speed would. Without the delay of the converter"
+            f"{words}{low_pass.two_poles_delay_s * 1e6:.3g} µs with two equal poles, which these speeds do "
+            "not rule out: half of the highest speed would. Without the delay of the converter"
         )
     if not low_pass.is_one_pole:
         return (

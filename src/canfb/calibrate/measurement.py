@@ -103,19 +103,15 @@ def supervise(
     found = np.fromiter(each, FEEDBACK, len(samples))
     seen = (found["status"] & VALID > 0) & ~missed
     cycles = found["cycles"] - (found["cycles"][seen][0] if seen.any() else 0)
+    elapsed = np.ones(len(samples))
+    if samples.time_s is not None and samples.rate_hz:
+        elapsed[1:] = np.diff(samples.time_s) * samples.rate_hz
     return SupervisedSamples(
         np.where(seen, cycles + found["phase"], math.nan),
         np.where(missed, math.nan, found["amplitude"]),
         found["status"],
-        _elapsed(samples),
+        elapsed,
     )
-
-
-def _elapsed(samples: TrackSamples) -> FloatArray:
-    elapsed = np.ones(len(samples))
-    if samples.time_s is not None and samples.rate_hz:
-        elapsed[1:] = np.diff(samples.time_s) * samples.rate_hz
-    return elapsed
 
 
 SETTLING_SAMPLES = 16  # until the chain knows the speed well

@@ -133,17 +133,14 @@ class _Box:
         x, y = self.scaled(s, c)
         radius = np.hypot(x, y)
         keep = (radius > 0.3) & (radius < 1.7)
-        fit = None
         for _ in range(ROUNDS):
             fit = _conic(x[keep], y[keep])
             if fit is None:
                 return None, 0.0
-            off = np.abs(_radius(*fit, x, y) - 1.0)
-            before, keep = keep, off < max(REJECT_SIGMAS * robust_rms(off), MIN_SCATTER)
+            off = _radius(*fit, x, y) - 1.0
+            before, keep = keep, np.abs(off) < max(REJECT_SIGMAS * robust_rms(off), MIN_SCATTER)
             if np.array_equal(before, keep):
                 break
-        assert fit is not None
-        off = _radius(*fit, x, y) - 1.0
         if np.mean(keep) < 0.5 or float(np.std(off[keep])) > LARGEST_SCATTER:
             return None, 0.0
         return fit, float(np.mean(np.abs(off) < NEAR))

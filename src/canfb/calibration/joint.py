@@ -325,12 +325,9 @@ def raw_phase_curve(waveform: Waveform, conditioning: Conditioning) -> FloatArra
 
 def phase_at_raw(raw_curve: FloatArray, raw: FloatArray) -> FloatArray:
     """Phase on a curve of :func:`raw_phase_curve` at raw phases 0..1, continuous."""
-    phases = grid_phases(len(raw_curve) - 1)
-    # Two cycles of the curve, so that 0..1 lies inside wherever the curve starts.
-    start = np.floor(raw_curve[0])
-    curve = np.concatenate([raw_curve - start - 1.0, raw_curve[1:] - start, raw_curve[1:] - start + 1.0])
-    phase = np.concatenate([phases - 1.0, phases[1:], phases[1:] + 1.0])
-    return np.asarray(np.interp(raw, curve, phase), np.float64)
+    # The difference repeats with each cycle.
+    off = grid_phases(len(raw_curve) - 1) + np.floor(raw_curve[0]) - raw_curve
+    return np.asarray(raw + np.interp(raw, raw_curve[:-1], off[:-1], period=1.0), np.float64)
 
 
 def origin_of(raw_curve: FloatArray) -> float:

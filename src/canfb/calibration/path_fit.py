@@ -57,35 +57,26 @@ class Fundamental(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TwoPoles:
-    """A low-pass of two equal poles instead: delay at low speed, seconds, and ``misfit`` as in LowPass."""
-
-    delay_s: float
-    misfit: float
-
-
-@dataclass(frozen=True)
 class LowPass:
     """A low-pass of one pole as the amplitudes over the speed show it.
 
     per_hz          1 / corner, 0.0: none is detected; sigma_per_hz: its uncertainty
-    top_hz, left    the highest speed, and the part of the amplitude there
+    top_hz          the highest speed
     misfit          largest relative difference of an amplitude from the fit
     checked         there are enough speeds for misfit to say whether it is one pole
     least_corner_hz a lower one would have been detected
     rises           the amplitude rises with the speed
-    other           two equal poles, as the same amplitudes show them
+    two_poles_delay_s   at low speed, of two equal poles instead, which are later; None: ruled out
     """
 
     per_hz: float
     sigma_per_hz: float
     top_hz: float
-    left: float
     misfit: float
     checked: bool
     least_corner_hz: float = math.inf
     rises: bool = False
-    other: TwoPoles | None = None
+    two_poles_delay_s: float | None = None
 
     @property
     def is_detected(self) -> bool:
@@ -102,13 +93,13 @@ class LowPass:
         return self.sigma_per_hz * self.corner_hz**2
 
     @property
-    def is_one_pole(self) -> bool:
-        return self.misfit <= MOST_MISFIT and not self.rises
+    def left(self) -> float:
+        """The part of the amplitude at the highest speed."""
+        return 1.0 / math.hypot(1.0, self.top_hz * self.per_hz)
 
     @property
-    def may_have_two_poles(self) -> bool:
-        """Nor against two equal poles, which are later."""
-        return self.other is not None and (not self.checked or self.other.misfit <= MOST_MISFIT)
+    def is_one_pole(self) -> bool:
+        return self.misfit <= MOST_MISFIT and not self.rises
 
     @property
     def delay_s(self) -> float:
@@ -153,7 +144,7 @@ class PathFit:
         )
 
 
-NO_PATH = PathFit(0.0, 0.0, Corners(), LowPass(0.0, 0.0, 0.0, 1.0, 0.0, False))
+NO_PATH = PathFit(0.0, 0.0, Corners(), LowPass(0.0, 0.0, 0.0, 0.0, False))
 
 
 def response(hertz: npt.ArrayLike, corner_hz: float) -> npt.NDArray[np.complex128]:
@@ -198,14 +189,12 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
             "rms are left. Is each speed right, within half a cycle per sample?",
             Reason.SPEED,
         )
-    left = 1.0 / math.hypot(1.0, both.top_hz * per_hz[0])
-    low_pass = replace(both, per_hz=float(per_hz[0]), left=left)
     corner, of_cosine = (1.0 / float(one) if one else 0.0 for one in per_hz)
     return PathFit(
         float(delay_s) if abs(delay_s) > DETECTED_SIGMAS * delay_sigma_s else 0.0,
         delay_sigma_s,
         Corners(corner, 0.0 if of_cosine == corner else of_cosine),
-        low_pass,
+        replace(both, per_hz=float(per_hz[0])),
     )
 
 
@@ -234,16 +223,24 @@ def fit_low_pass(hertz: FloatArray, amplitude: FloatArray, sigma: FloatArray) ->
     square = (hertz / top) ** 2
     checked = len(np.unique(np.round(np.sqrt(square), 2))) > 2
     if np.ptp(square) < 1e-3:
-        return LowPass(0.0, 0.0, top, 1.0, 0.0, False, 0.0)
+        return LowPass(0.0, 0.0, top, 0.0, False, 0.0)
     ratio2, sigma2, misfit = _poles(square, amplitude, sigma, 1)
     rises = ratio2 < -DETECTED_SIGMAS * sigma2
     if ratio2 <= DETECTED_SIGMAS * sigma2:
         least = top / math.sqrt(max(ratio2, 0.0) + BEYOND * sigma2)
-        return LowPass(0.0, 0.0, top, 1.0, misfit, checked, least, rises)
-    ratio, left = math.sqrt(ratio2), 1.0 / math.sqrt(1.0 + ratio2)
+        return LowPass(0.0, 0.0, top, misfit, checked, least, rises)
+    ratio = math.sqrt(ratio2)
     other2, _, other_misfit = _poles(square, amplitude, sigma, 2)
-    other = TwoPoles(math.sqrt(max(other2, 0.0)) / top / math.pi, other_misfit)
-    return LowPass(ratio / top, sigma2 / (2.0 * ratio) / top, top, left, misfit, checked, other=other)
+    other_s = math.sqrt(max(other2, 0.0)) / top / math.pi
+    ruled_out = checked and other_misfit > MOST_MISFIT
+    return LowPass(
+        ratio / top,
+        sigma2 / (2.0 * ratio) / top,
+        top,
+        misfit,
+        checked,
+        two_poles_delay_s=None if ruled_out else other_s,
+    )
 
 
 def _poles(
@@ -271,7 +268,6 @@ def _corners(f: FloatArray, gain: FloatArray, noise: FloatArray, per_hz: float) 
     """
     weight = 1.0 / np.hypot(RATIO_REPEATS, noise)
     pair = np.array([per_hz, per_hz])
-    sigma = math.inf
     for _ in range(ROUNDS):
         ratio = np.outer(pair, f)
         model = 0.5 * np.log1p(ratio[0] ** 2) - 0.5 * np.log1p(ratio[1] ** 2)

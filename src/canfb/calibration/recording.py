@@ -90,8 +90,7 @@ class Blocks:
         """
         eighth = (position % 1.0 * 8.0).astype(np.int64) % 8
         met = np.zeros((len(self), 8), np.bool_)
-        rows = np.broadcast_to(np.arange(len(self))[:, None], eighth.shape)
-        met[rows[self.used], eighth[self.used]] = True
+        met[np.nonzero(self.used)[0], eighth[self.used]] = True
         return np.asarray(met.sum(axis=1) >= 4, np.bool_)
 
     def smooth(self, values: FloatArray) -> FloatArray:
@@ -302,10 +301,8 @@ def find_lock(sine: FloatArray, cosine: FloatArray) -> Fraction | None:
     rows = z[: windows * WINDOW].reshape(windows, WINDOW)
     power = np.nanmean(np.abs(rows) ** 2)
     for q in range(1, LARGEST_DENOMINATOR + 1):
-        length = WINDOW // q * q
-        places = rows[:, :length].reshape(windows, length // q, q)
-        seen = ~np.isnan(places)
-        mean = np.where(seen, places, 0.0).sum(axis=1) / np.maximum(1, seen.sum(axis=1))
+        places = rows[:, : WINDOW // q * q].reshape(windows, -1, q)
+        mean = np.nansum(places, axis=1) / np.maximum(1, (~np.isnan(places)).sum(axis=1))
         if np.mean(np.abs(mean) ** 2) > power * np.sinc(DRIFT_CYCLES / q) ** 2:
             step = float(np.angle(np.nansum(z[1:] * np.conj(z[:-1])))) / (2.0 * math.pi)
             return Fraction(round(step * q), q) % 1

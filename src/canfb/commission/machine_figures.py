@@ -197,10 +197,8 @@ def low_pass_of(followed: SupervisedSamples, interval_s: float, corners: Corners
         return None
     number = np.minimum((hertz / hertz.max() * CLASSES).astype(np.int64), CLASSES - 1)
     classes = [number == one for one in range(CLASSES) if np.sum(number == one) >= LEAST_OF_CLASS]
-    if len(classes) < LEAST_CLASSES:
-        return None
     speeds = np.array([np.sqrt(np.mean(hertz[one] ** 2)) for one in classes])
-    if speeds.min() > LOWEST_PART * speeds.max():
+    if len(speeds) < LEAST_CLASSES or speeds.min() > LOWEST_PART * speeds.max():
         return None
     sizes = np.array([amplitude[one].mean() for one in classes])
     spread = np.array([amplitude[one].std() / np.sqrt(np.sum(one)) for one in classes])
