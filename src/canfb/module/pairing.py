@@ -426,6 +426,8 @@ class Pairing(ProcessData):
         elif not self._chain.crowded:
             self.count_bad_frame()
             return
+        elif self._chain.slips(self._chain.times.passed):
+            self._publishing.withhold()  # the position is that of the sample before
         self._sample_came += 1
         self._answer(max(place, self._accounted))
 

@@ -143,15 +143,18 @@ class SampleTimes:
             return REPEATED
         unit = self.unit_s
         self.passed = intervals = ticks * TICK_S / unit
+        passed_s, unsure_s = ticks * TICK_S, UNDECLARED * unit
+        apart_s, heard_apart_s = _apart_s(self._synced_s, synced_s), _apart_s(self._received_s, received_s)
         if intervals < CLOSEST:
             kind = CROWDED if ticks > 0 else REPEATED if intervals >= -OLDEST else SUSPECT
+            if kind == CROWDED and heard_apart_s is not None and heard_apart_s - passed_s > unsure_s:
+                kind = SUSPECT
             return self._refused(time_100ns, ticks, counted, intervals - counted, kind, received_s, synced_s)
         by_count = round(intervals), (intervals - counted) * unit / TICK_S
         places, off = grid.nearest(self._at + ticks) if grid.period else by_count
-        passed_s, off_s, unsure_s = ticks * TICK_S, abs(off) * TICK_S, UNDECLARED * unit
+        off_s = abs(off) * TICK_S
         harmless_s = min(unsure_s, SLIP_CYCLES * unit / speed_cycles) if speed_cycles else unsure_s
         spare_s, most_s = max(HEARD_S, harmless_s), 2.0 * max(grid.allowed * TICK_S, unsure_s)
-        apart_s, heard_apart_s = _apart_s(self._synced_s, synced_s), _apart_s(self._received_s, received_s)
         wrong, error_s, by_call = abs(intervals - counted), 0.0, False
         if heard_apart_s is not None and apart_s is not None:
             error_s = abs(apart_s - passed_s)

@@ -369,6 +369,10 @@ CLASSES = {
         slots(1, pdo_late_us=periods_us(0.9, 1.0)), slots(1, skip=1, pdo_lost=True)
     ),
     "stamp, one bad": WireClass(one_bad_stamp, of="times"),
+    "stamp, one bad, TPDO 1": WireClass(options(tpdo_type=1), one_bad_stamp, of="times"),
+    "stall of all, TPDO 1": WireClass(
+        clocks.everything_stalls, options(tpdo_type=1), torque=0.0, of="times !servo"
+    ),
     "stamps, 10 % bad": WireClass(
         slots(40, stamp=lambda plan: any_stamp(plan) if plan.rng.uniform() < 0.1 else None),
         of="times",

@@ -232,13 +232,13 @@ class Judge:
     def _admissible(self, one: Sent) -> list[float]:
         """True positions at the instants of rules J1 to J4."""
         line, cause = self._line, one.cause
+        late = self._plan.options.answer_s / self._plan.options.interval_s  # 2010:0E
         if cause is not None and cause.what in ("pdo", "part", "extra"):
             slot = self._last_sync(cause.time)
             samples = {cause.number, one.newest, *self._samples_of(slot, slot)}
             return [line.positions[n] for n in samples] + self._named(samples)
         if cause is not None and cause.what in ("sync", "foreign"):
-            late = int(self._plan.options.answer_s / self._plan.options.interval_s + 1.0)  # 2010:0E
-            sampled = self._samples_of(cause.number - late, cause.number)
+            sampled = self._samples_of(cause.number - 1 - int(late), cause.number)
             true = [line.positions[n] for n in sampled] or [
                 float(self._plan.motion.at([cause.time - 1.0])[0])
             ]
@@ -251,7 +251,7 @@ class Judge:
                 true += plan.motion.at([cause.time, *after]).tolist()
             return true + self._named(sampled)
         at = one.now if cause is None else cause.time
-        if one.newest >= 0 and at - line.sample_times[one.newest] <= FRESH:
+        if one.newest >= 0 and at - line.sample_times[one.newest] <= FRESH + late:
             return [line.positions[one.newest], *self._named([one.newest])]
         return [float(self._plan.motion.at([one.now])[0])]
 
