@@ -39,7 +39,7 @@ class TimeBase:
         A time stamp ahead of ``now``, or 10 s behind it, is of another clock.
         """
         stamp = frame.timestamp
-        return now if stamp is None or not now - OLDEST_S <= stamp <= now else stamp
+        return self.at(now if stamp is None or not now - OLDEST_S <= stamp <= now else stamp)
 
     def at(self, now: float) -> float:
         """The time of the machine, seconds, at ``now``."""

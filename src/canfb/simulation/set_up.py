@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from canfb import objects as od
-from canfb.checks import number_in
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.device.lss import UNCONFIGURED
@@ -182,8 +181,6 @@ def rounded_up(rate_hz: float) -> str:
 
 MOST_RPM = (0x6080, 0)
 
-SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 1e-6, 10.0
-
 
 def simulated_axis(
     simulation: SimulationConfig, module: ModuleConfig, *, autostart: bool = False
@@ -230,11 +227,10 @@ class SlowMotion(SimulatedDevice, TimeBase):
     """A time base: one nominal interval with each SYNC, however late it is. Attach it before its nodes.
 
     ``dictionary``, of the node that samples, says which frame is the SYNC and, in 1006h, how long the
-    interval is; ``interval_s``, 1e-6 to 10 s, counts while 1006h is 0.
+    interval is; ``interval_s`` counts while 1006h is 0.
     """
 
     def __init__(self, dictionary: Dictionary, interval_s: float) -> None:
-        number_in("interval_s", interval_s, SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S)
         self._interval_s = interval_s
         self._cob_id = dictionary.entry(*od.SYNC_COB_ID)
         self._period = dictionary.entry(*od.CYCLE_PERIOD)
@@ -244,9 +240,6 @@ class SlowMotion(SimulatedDevice, TimeBase):
         if frame.can_id == self._cob_id.value & cob.CAN_ID and not frame.rtr:
             self.time_s += self._period.value * 1e-6 or self._interval_s
         return []
-
-    def received_at(self, frame: Frame, now: float) -> float:
-        return self.time_s
 
     def at(self, now: float) -> float:
         return self.time_s
