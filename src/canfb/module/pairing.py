@@ -121,9 +121,10 @@ class Pairing(ProcessData):
         if verdict is USUAL and self.usual == CAME and not (waiting or self._prediction.is_on):
             self._sample_came, self.usual = 0, self._input.usual
             return FOLLOWED
-        self.usual, self._off = NO_RPDO, verdict.off
+        self.usual = NO_RPDO
         if verdict.extra:
             return self._extra_sync(verdict, now, waiting)
+        self._off = verdict.off
         self._begin_interval(verdict, counter, now, waiting, after_extra)
         if self._prediction.extrapolates and self._source is None:
             last, behind = self._publishing.last, max(1, syncs.place - self._accounted)

@@ -423,6 +423,9 @@ CLASSES = {
         clocks.producer_shifts, torque=0.0, of="times !servo stamps", survives=True
     ),
     "SYNC, another rate": WireClass(clocks.producer_changes_rate, torque=0.0, of="stamps !times"),
+    "SYNC, another rate, doubled": WireClass(
+        clocks.producer_changes_rate, SYNC_DOUBLED, torque=0.0, of="stamps !times"
+    ),
     "SYNC, another rate, times": WireClass(clocks.producer_changes_rate, torque=0.0, of="times !servo"),
     "SYNC faster, TPDO 1": WireClass(clocks.faster_sync, torque=0.0, of="!counter !servo"),
     "lost, then NMT": WireClass(clocks.lost_then_started, torque=0.0, of="!servo"),

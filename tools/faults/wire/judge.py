@@ -207,7 +207,7 @@ class Judge:
         referenced = self._plan.options.extra or self._plan.options.coarse
         if valid and referenced and self._lost and abs(error) > self._plan.tolerance:
             # A zero pulse ends a loss within the revolution.
-            error = within_half(error, CYCLES_PER_REVOLUTION)
+            error = self._error(one, position, CYCLES_PER_REVOLUTION)
         pdo = one.cause if one.cause is not None and one.cause.what == "pdo" else None
         shown = Shown(one.now, what, position, status, residual, error, pdo)
         self.shown.append(shown)
@@ -223,11 +223,11 @@ class Judge:
             self._last_wrong = one.now
             verdict.first_wrong = verdict.first_wrong or shown
 
-    def _error(self, one: Sent, position: float) -> float:
+    def _error(self, one: Sent, position: float, whole: float = RANGE_CYCLES) -> float:
         """Of a position against the nearest truth."""
         truths = self._admissible(one)
-        errors = (within_half(position + self._base - truth, RANGE_CYCLES) for truth in truths)
-        return min(errors, key=abs, default=RANGE_CYCLES)
+        errors = (within_half(position + self._base - truth, whole) for truth in truths)
+        return min(errors, key=abs, default=whole)
 
     def _admissible(self, one: Sent) -> list[float]:
         """True positions at the instants of rules J1 to J4."""
