@@ -62,7 +62,10 @@ def drive(
     sent: list[Sent] = []
     times = [begin_s + event.time * interval_s for event in events]
     at, count, now, stuck = 0, len(events), begin_s, 0
+    # A sample is heard with its last part, or at the SYNC at which a synchronous RPDO is taken.
     last_part = "extra" if plan.options.extra or plan.options.coarse else "pdo"
+    if plan.options.rpdo_type == 1:
+        last_part = "sync"
     newest = tracks = -1
     while True:
         due = module.deadline()
@@ -81,8 +84,8 @@ def drive(
                 if stamps:
                     frame = frame._replace(timestamp=min(times[at] + noise[at], now))
                 tracks = event.number if event.what == "pdo" else tracks
-                if event.what == last_part and newest < event.number == tracks:
-                    newest = event.number
+                if event.what == last_part and (last_part == "sync" or event.number == tracks):
+                    newest = max(newest, tracks)
                 out = module.receive(frame, now)
             else:
                 out = module.bus_off(now) if event.what == "bus_off" else module.bus_back(now)
