@@ -40,7 +40,7 @@ FOUND = (  # each was valid and wrong
     "stamp, one bad, TPDO 1:servo/rx:1920002000020",
     "RPDO2 lost, SYNC lost:plain/rx:1910002000000",
     "RPDO2 lost, SYNC lost:counter/rx:1910002000012",
-    "predict, SYNC stops or slows:times/rx:1900002000003",
+    "predict, SYNC stops or slows:times/rx:1950001000019",
     "predict, another rate:times/rx:1900002000001",
     "PDOs behind later SYNCs, some lost:plain/rx:1880006000008",
     "PDOs behind later SYNCs, some lost:plain/rx:1880006000010",

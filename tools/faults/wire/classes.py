@@ -406,7 +406,11 @@ CLASSES = {
     "RPDO 1, TPDO 1": WireClass(options(rpdo_type=1, tpdo_type=1), any_loss),
     "TPDO 1, predict": WireClass(PREDICTED, wire(jitter_us=0.0, busy=0.0, tolerance=1.3), any_loss),
     "predict, SYNC stops or slows": WireClass(
-        PREDICTED, wire(jitter_us=0.0, busy=0.0, tolerance=1.3), any_of(period_changes, pause), after=150
+        PREDICTED,
+        wire(jitter_us=0.0, busy=0.0, tolerance=1.3),
+        any_of(period_changes, pause),
+        torque=0.0,
+        after=150,
     ),
     "predict, another rate": WireClass(
         clocks.producer_changes_rate, PREDICTED, wire(tolerance=1.3), torque=0.0, of="times stamps !servo"
