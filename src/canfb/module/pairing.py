@@ -250,7 +250,8 @@ class Pairing(ProcessData):
             return False
         if self._ambiguous and not self.timed:
             self._lose_count(1.0, now)  # which of them the last sample answers stays open
-        self._end_parts(now)
+        if self._tracks_came:
+            self._end_parts(now)
         self._accounted += self._heard_of(syncs.place - self._accounted)
         self._miss_to(syncs.place, now)
         self._ambiguous = False
