@@ -7,8 +7,6 @@ from typing import Any
 
 import canopen
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.codes import EmergencyCode
@@ -19,7 +17,6 @@ from canfb.eds_files import eds_path
 from canfb.module.cia406.alarms import CODES
 from canfb.module.cia406.profile import ALARM_PARAMETERS, ALARM_POSITION
 from documentation import blocks, page
-from drawing import examples
 from ideal_tracks import counts_at
 
 FREQUENCY, AMPLITUDE, REFERENCE = 0xFF10, 0xFF11, 0xFF15
@@ -47,6 +44,14 @@ def test_low_amplitude_is_told_once_and_over_after_the_hold_time(bench: Bench) -
         bench.at(0.0, GOOD)
     assert told(bench) == [(AMPLITUDE, 0x21), (0, 0)]
     assert bench.sdo[0x1001].raw == 0
+
+
+def test_no_warning_without_a_valid_position(bench: Bench) -> None:
+    for amplitude, samples, warning in ((LOW, 3, 2), (BAD, 2, 0), (LOW, 8, 2)):
+        for _ in range(samples):
+            bench.at(0.0, amplitude)
+        assert bench.sdo[0x6505].raw == warning
+    assert told(bench) == [(AMPLITUDE, 0x21), (0x7300, 0x21), (0, 0x21)]
 
 
 def test_a_limit_that_a_known_acceleration_narrows(bench: Bench) -> None:
@@ -99,42 +104,6 @@ def test_only_chosen_warnings_are_told(bench: Bench, mask: int) -> None:
     bench.sdo[0x2004][1].raw = mask
     bench.at(0.0, LOW)
     assert told(bench) == [(AMPLITUDE, 0x21), (0, 0)]
-
-
-@examples(60)
-@given(
-    st.lists(st.tuples(st.sampled_from([LOW, GOOD, BAD]), st.integers(1, 12)), max_size=12),
-    st.sampled_from([0, 1, 5, 20]),
-)
-def test_each_warning_begins_and_ends_in_turn(runs: list[tuple[float, int]], hold_ms: int) -> None:
-    bench = Bench()
-    bench.start()
-    bench.sdo[0x2004][2].raw = hold_ms
-    for amplitude, samples in runs:
-        for _ in range(samples):
-            valid = bench.at(0.0, amplitude)[1] & 1
-            assert bench.sdo[0x6505].raw == (2 if valid and amplitude == LOW else 0)
-    active: set[int] = set()
-    losses = 0
-    may_have_ended: set[int] = set()  # an end does not say of what, while something else is active
-    codes = [code for code, _ in told(bench)]
-    for code, register in told(bench):
-        if code:
-            lost_now = code == 0x7300 and code in active and code not in may_have_ended
-            losses += lost_now  # a loss during the alarm is reported on its own
-            assert lost_now or code not in active or code in may_have_ended
-            may_have_ended.discard(code)
-            active.add(code)
-        else:
-            assert active  # something ends
-            may_have_ended = set(active)
-            if not register:
-                active.clear()
-            else:
-                active = {AMPLITUDE}  # at least it, or the alarm
-    assert losses <= bench.sdo[0x2012][5].raw
-    assert len(codes) - losses <= 1 + 2 * len(runs)
-    assert bench.sdo[0x1001].raw == (0x21 if active else 0)
 
 
 PAGE = page("encoder-profile")

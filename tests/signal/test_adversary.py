@@ -163,29 +163,6 @@ def test_what_the_tracks_cannot_show_is_reported(kind: str) -> None:
     assert reported >= 38  # the others turn on at the one speed at which dead tracks look alive
 
 
-@each("kind", ["frozen", "swapped"])
-def test_tracks_that_are_wrong_from_the_standstill_on(kind: str) -> None:
-    """The machine is started with dead or swapped tracks: at most the tolerance and three samples later."""
-    for seed in range(20):
-        rng = np.random.default_rng((seed, 7))
-        axis = Axis(rng, 0.01)
-        first: float | None = None
-        speed, position = 0.0, float(rng.uniform(0, N))
-        start, rate = position, float(rng.uniform(0.001, MOST_ACCELERATION)) * float(rng.choice([-1, 1]))
-        for k in range(900):
-            speed += rate if k > 60 and abs(speed) < TOP else 0.0
-            position += speed
-            got, _ = axis.step(at(start if kind == "frozen" else 2.0 * start - position), position)
-            apart = (position - start) * (1.0 if kind == "frozen" else 2.0)
-            if first is None and abs(apart) > TOLERANCE_CYCLES - INCREMENT_CYCLES:
-                first = abs(apart)
-            if got.status & DISAGREES:
-                assert first is not None, (seed, k)
-                break
-        else:
-            raise AssertionError((seed, "nothing was reported"))
-
-
 # Samples are missed or flagged, the bus pauses, the edges of the pulse are a cycle apart by direction, the
 # coarse track has an error. A valid position is right, or was lost before and is whole revolutions off.
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from test_bounded_motion import ends_through
 
-import canfb
 from canfb.signal.chain import SignalChain
 from canfb.signal.estimator import Estimator
 from canfb.signal.limits import Declared as EstimatorDeclared
@@ -21,8 +20,8 @@ from canfb.signal.limits import kept_samples
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, VALID
 from ideal_tracks import counts_at
-from tools.faults.machine import AMPLITUDE_COUNTS, positions, table_of
-from tools.faults.samples.episodes import KINDS, Declared, Episode, Kind, State, chain_for, draw, play
+from tools.faults.machine import AMPLITUDE_COUNTS, positions
+from tools.faults.samples.episodes import KINDS, Declared, Episode, Kind, State, draw, play
 from tools.faults.samples.judge import judge
 
 EPISODES = 10
@@ -77,26 +76,6 @@ def test_uneven_instants_cost_nothing_where_one_motion_fits(kind: str, name: str
         verdict = judge(episode, play(episode))
         assert verdict.kept
         assert not verdict.silent
-
-
-@pytest.mark.parametrize("name", ["0.01", "0.1", "0.2", "sharp"])
-def test_the_usual_step_is_eq_9_bit_for_bit(name: str) -> None:
-    """i(k) = 2 i(k-1) - i(k-2) + round(2 p(k-1) - p(k-2) - p(k)), and its residual."""
-    machine = MACHINES[name]
-    good = replace(KINDS["jitter"], jitter=0.0)
-    for episode in episodes(good, machine):
-        table = table_of(machine.phase_error)
-        limit = min(1.0 / 3.0, machine.acceleration + 4.0 * machine.phase_error)
-        expected = canfb.track(episode.phase, limit)
-        chain = chain_for(episode)
-        feedbacks = [chain.step(Sample(*pair)) for pair in zip(episode.sine, episode.cosine, strict=True)]
-        phases = np.array([one.phase for one in feedbacks])
-        assert phases.tobytes() == episode.phase.tobytes()
-        residuals = np.array([one.residual for one in feedbacks])
-        assert residuals[3:].tobytes() == np.asarray(expected.residual)[3:].tobytes()
-        cycles = np.array([one.cycles for one in feedbacks])
-        assert (np.diff(cycles, 2)[1:] == np.diff(expected.cycles, 2)[1:]).all()
-        assert (table is None) == (machine.phase_error == 0.0125)
 
 
 def changes() -> dict:

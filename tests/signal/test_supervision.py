@@ -132,45 +132,6 @@ def test_a_residual_of_the_limit_is_a_fault(sine: float, bits: StatusBit, coast_
     assert got.residual == pytest.approx(0.125)
 
 
-samples = st.one_of(
-    st.none(),
-    st.builds(
-        lambda phase, amplitude, coarse, pulse, invalid: at(phase)._replace(
-            sine=amplitude * math.sin(2 * math.pi * phase),
-            cosine=amplitude * math.cos(2 * math.pi * phase),
-            coarse_sine=None if coarse is None else 1500 * math.sin(2 * math.pi * coarse),
-            coarse_cosine=None if coarse is None else 1500 * math.cos(2 * math.pi * coarse),
-            zero_pulse=pulse,
-            invalid=invalid,
-        ),
-        st.sampled_from([0.0, 0.0, 0.0, 0.1, 0.25, 0.5]),
-        st.sampled_from([1500.0, 1500.0, 1500.0, 0.0, 3000.0]),
-        st.sampled_from([None, 0.0, 0.0, 0.3]),
-        st.sampled_from([None, None, 0.0, 0.5]),
-        st.sampled_from([False, False, False, True]),
-    ),
-)
-
-
-@given(st.lists(st.tuples(samples, st.integers(1, 9)), max_size=20), st.sampled_from([10, 2500]))
-def test_whatever_comes_the_status_word_does_not_contradict_itself(
-    rows: list[tuple[Sample | None, int]], cycles_per_revolution: int
-) -> None:
-    chain = SignalChain(ChainConfig(cycles_per_revolution=cycles_per_revolution, frozen_samples=3))
-    last = None
-    for sample in (sample for sample, times in rows for _ in range(times)):
-        got = chain.miss() if sample is None else chain.step(sample)
-        states = flags(got) & (StatusBit.VALID | StatusBit.COASTING | StatusBit.LOST)
-        assert len(states) <= 1
-        faults = StatusBit.RESIDUAL | StatusBit.AMPLITUDE | StatusBit.CLIPPED | StatusBit.COARSE
-        assert not (got.valid and flags(got) & (faults | StatusBit.FROZEN))
-        assert not (got.valid and got.jump_cycles)
-        if last is not None and last.valid and got.valid:
-            moved = (got.cycles - last.cycles) + (got.phase - last.phase)
-            assert abs(moved - got.speed_cycles) < 1e-9, "a valid position does not jump"
-        last = got
-
-
 def test_while_the_speed_is_not_known_a_quarter_of_the_amplitude_is_enough() -> None:
     limits = SampleLimits(2048, 400.0, 1800.0)
     quarter = SampleLimits(2048, 100.0, 1800.0)
