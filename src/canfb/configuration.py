@@ -24,6 +24,7 @@ from canfb.interface.encoder_interface import InterfaceConfig
 from canfb.marked_yaml import YamlError, compose, construct, found_at, pairs
 from canfb.marked_yaml import line_of as yaml_line
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig, SecondPositionConfig
+from canfb.rows import those
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.sources.protocol import SourceConfig, source_kinds
@@ -91,10 +92,14 @@ class Config:
         return self.played or SimulationConfig()
 
     @property
+    def lists(self) -> dict[str, Sequence[NodeConfig]]:
+        """Those of nodes, by their keys."""
+        return {"modules": self.modules, "interfaces": self.interfaces}
+
+    @property
     def nodes(self) -> list[tuple[str, int, NodeConfig]]:
         """Modules and interfaces, each behind its key and its place in that list."""
-        lists: dict[str, Sequence[NodeConfig]] = {"modules": self.modules, "interfaces": self.interfaces}
-        return [(key, n, one) for key, those in lists.items() for n, one in enumerate(those)]
+        return [(key, n, one) for key, those in self.lists.items() for n, one in enumerate(those)]
 
     @property
     def node_ids(self) -> list[int]:
@@ -199,9 +204,11 @@ def _short(text: str) -> str:
     return f"{short[:_LONGEST_MESSAGE]} ..." if len(short) > _LONGEST_MESSAGE else short
 
 
-_SEVERAL = "leave it out; a servo takes several samples for each SYNC (samples_per_sync)"
 # Keys of older versions, and what to do.
-GONE = dict.fromkeys(("prediction_order", "max_jerk_rad_s3"), _SEVERAL)
+GONE = dict.fromkeys(
+    ("prediction_order", "max_jerk_rad_s3"),
+    "leave it out; a servo takes several samples for each SYNC (samples_per_sync)",
+)
 
 
 def _unknown(key: str, known: list[str], where: str) -> str:
@@ -319,12 +326,12 @@ def _check_distinct_nodes(name: str, root: yaml.Node, config: Config) -> None:
         both = f"of {title} is also that of {other}"
         folders = [Path(folder).absolute() for folder in (mine.state_dir, theirs.state_dir) if folder]
         alike = type(mine) is type(theirs) and mine.serial_number == theirs.serial_number
-        if mine.node_id == theirs.node_id != UNCONFIGURED:
-            raise _config_error(name, line, f"node_id {mine.node_id} {both}")
-        if len(folders) > len(set(folders)):
-            raise _config_error(name, line, f"state_dir {both}")
-        if alike and UNCONFIGURED in (mine.node_id, theirs.node_id):
-            said = f"serial_number {mine.serial_number} {both}: LSS needs unique ones"
+        unnamed = UNCONFIGURED in (mine.node_id, theirs.node_id)
+        for said in those(
+            (mine.node_id == theirs.node_id != UNCONFIGURED, f"node_id {mine.node_id} {both}"),
+            (len(folders) > len(set(folders)), f"state_dir {both}"),
+            (alike and unnamed, f"serial_number {mine.serial_number} {both}: LSS needs unique ones"),
+        ):
             raise _config_error(name, line, said)
     if config.played is not None and config.played.drive is not None:
         taken = {one.node_id: f"node_id of {title}" for title, one, _ in devices}

@@ -26,7 +26,9 @@ def eds_path(name: str) -> Path:
     if not name or Path(name).name != name:
         raise ValueError(f"name of an EDS file expected, without folders, not {name!r}")
     file_name = name if name.endswith(".eds") else f"{name}.eds"
-    folders = _folders(_PACKAGE)
+    folders = [_PACKAGE / "eds"]
+    if _PACKAGE.parent.name == "src":  # a checkout: src/canfb beside eds
+        folders.append(_PACKAGE.parents[1] / "eds")
     for folder in folders:
         path = folder / file_name
         if path.is_file():
@@ -34,10 +36,3 @@ def eds_path(name: str) -> Path:
     known = sorted(path.name for folder in folders for path in folder.glob("*.eds"))
     there = f"there are {', '.join(known)}" if known else "there is none at all, so reinstall canfb"
     raise EdsNotFoundError(f"no EDS file {file_name} in {' or '.join(map(str, folders))}: {there}")
-
-
-def _folders(package: Path) -> list[Path]:
-    folders = [package / "eds"]
-    if package.parent.name == "src":  # a checkout: src/canfb beside eds
-        folders.append(package.parent.parent / "eds")
-    return folders

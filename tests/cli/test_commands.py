@@ -13,7 +13,7 @@ import pytest
 
 from canfb.cli import commands as table
 from canfb.cli.aliases import current
-from canfb.cli.commands import COMMANDS, EXAMPLES, SUMMARIES, named_command
+from canfb.cli.commands import COMMANDS, EXAMPLES, named_command
 from canfb.cli.main import build_parser
 from commands import Command
 from processes import python
@@ -29,7 +29,7 @@ def summaries(parser: argparse.ArgumentParser) -> dict[str, str | None]:
 
 
 def test_names_and_summaries_are_those_that_the_files_register() -> None:
-    assert summaries(build_parser()) == SUMMARIES
+    assert summaries(build_parser()) == {name: summary for name, (_, summary) in COMMANDS.items()}
 
 
 def test_every_command_is_in_the_table() -> None:
@@ -128,7 +128,7 @@ LINES = {
 def test_an_old_line_is_a_new_one(old: str) -> None:
     words, said = current(old.split())
     assert " ".join(words) == LINES[old]
-    assert build_parser().parse_args(words).command in SUMMARIES
+    assert build_parser().parse_args(words).command in COMMANDS
     assert not said or said.startswith("'canfb ")
     assert current(words) == (words, "")
 

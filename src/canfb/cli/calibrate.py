@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -159,8 +160,9 @@ def calibrate(options: argparse.Namespace) -> int:
         prepare_folder(choices.out)
     with shown_progress(quiet=options.json, interrupted="the module is unchanged") as progress:
         if choices.samples:
-            run = _run(choices, options, progress, date_and_time())
-            return _say(run.from_file(choices.samples), options, progress)
+            return _said(
+                options, progress, date_and_time(), partial(CalibrationRun.from_file, path=choices.samples)
+            )
         choices.nodes(nodes_of(config))  # says what cannot be before there is a bus
         with sync_master(options, config) as (master, guard):
             return over_bus(master, options, config, progress, guard, date_and_time())
@@ -170,23 +172,19 @@ def over_bus(
     master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
 ) -> int:
     """On an open bus; the exit code. ``date``: ISO 8601, time behind a space."""
-    choices = choices_of(options)
-    run = _run(choices, options, progress, date)
-    return _say(run.over_bus(master, *choices.nodes(nodes_of(config)), guard), options, progress)
+    module, interface = choices_of(options).nodes(nodes_of(config))
+    return _said(options, progress, date, lambda run: run.over_bus(master, module, interface, guard))
 
 
-def _run(
-    choices: CalibrateOptions, options: argparse.Namespace, progress: Progress, date: str
-) -> CalibrationRun:
+def _said(
+    options: argparse.Namespace, progress: Progress, date: str, measure: Callable[[CalibrationRun], Result]
+) -> int:
     def refused(error: CalibrationError) -> None:
         if options.json:
             refusal = {"accepted": False, "reason": error.reason, "message": str(error)}
             print(json.dumps(refusal | {"active": False, "saved": False}, indent=2))
 
-    return CalibrationRun(choices, progress, date, refused)
-
-
-def _say(result: Result, options: argparse.Namespace, progress: Progress) -> int:
+    result = measure(CalibrationRun(choices_of(options), progress, date, refused))
     progress.clear()
     return say_result(options, result)
 

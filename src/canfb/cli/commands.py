@@ -121,8 +121,7 @@ EXAMPLES = {
 
 
 def examples_of(command: str) -> str | None:
-    lines = EXAMPLES.get(command)
-    return None if lines is None else f"examples:{lines}"
+    return f"examples:{EXAMPLES[command]}" if command in EXAMPLES else None
 
 
 # By name: its file in this folder, and the summary for ``canfb --help``.
@@ -146,20 +145,10 @@ COMMANDS = {
     "log": ("log_command", "record the bus; put a recorded log through the same module"),
     "use": ("use", "the bus that commands use by default"),
 }
-SUMMARIES = {name: summary for name, (_, summary) in COMMANDS.items()}
 
 
 def named_command(words: Sequence[str]) -> str:
     return next((word for word in words if not word.startswith("-")), "")
-
-
-def add_commands(commands: Any, name: str | None = None) -> None:
-    """Add all commands to argparse's sub-parsers; or ``name`` with its options, the others for the help."""
-    for command, (file, summary) in COMMANDS.items():
-        if name in (None, command):
-            import_module(f"canfb.cli.{file}").register(commands)
-        else:
-            commands.add_parser(command, help=summary)
 
 
 WRONG_USE = 2
@@ -209,5 +198,10 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    add_commands(parser.add_subparsers(dest="command", required=True, metavar="COMMAND"), command)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, (file, summary) in COMMANDS.items():
+        if command in (None, name):
+            import_module(f"canfb.cli.{file}").register(commands)
+        else:  # for the help alone
+            commands.add_parser(name, help=summary)
     return parser

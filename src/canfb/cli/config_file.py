@@ -30,7 +30,7 @@ from canfb.hosting.hosting import check_machine, saved_configuration
 from canfb.master.access import NodeAccess
 from canfb.module.device_configuration import ConfigurationFiles, place_names, read_configuration
 from canfb.module.module_config import ModuleConfig
-from canfb.rows import Result
+from canfb.rows import Result, those
 
 EXAMPLE = """\
 # canfb run CONFIG.yaml, canfb simulate CONFIG.yaml
@@ -121,10 +121,11 @@ def register(commands: Commands) -> None:
 def check(options: argparse.Namespace) -> int:
     config = load_config(options.config, ANY_NODES)
     check_machine(Path(options.config), config)
-    there: dict[str, list[str]] = {}
-    for key, _, one in config.nodes:
-        there.setdefault(key, []).append(f"{one.node_id:02X}h")
-    lists = [f"; {key}: {', '.join(ids)}" for key, ids in there.items()]
+    lists = [
+        f"; {key}: {', '.join(f'{one.node_id:02X}h' for one in those)}"
+        for key, those in config.lists.items()
+        if those
+    ]
     print(f"{options.config}: valid{''.join(lists)}")
     return 0
 
@@ -163,10 +164,15 @@ def _check(options: argparse.Namespace) -> None:
     if options.node is None:
         refuse_idle(options, ["timeout", "config"], "only with NODE alone, which is read over the bus")
         options.config = options.subject
-    if not options.name.isascii() or not options.name.isprintable() or ";" in options.name:
-        raise ConfigError(f"--name {options.name!r}: must be printable ASCII without ';'")
-    if options.out is not None and options.out == options.concise:
-        raise ConfigError(f"--concise {options.concise}: must differ from --out")
+    plain = options.name.isascii() and options.name.isprintable() and ";" not in options.name
+    for said in those(
+        (not plain, f"--name {options.name!r}: must be printable ASCII without ';'"),
+        (
+            options.out and options.out == options.concise,
+            f"--concise {options.concise}: must differ from --out",
+        ),
+    ):
+        raise ConfigError(said)
     for name, path in (("--out", options.out), ("--concise", options.concise)):  # before one is written
         if path is not None:
             check_writable(path, name)

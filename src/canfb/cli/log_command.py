@@ -6,6 +6,7 @@ import argparse
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 from canfb.bus.opening import describe, open_bus
@@ -48,7 +49,7 @@ from canfb.logs.log_replay import (
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.findings import KINDS, Block, Overview
 from canfb.replay.module_replay import Begin
-from canfb.rows import Result, as_figures, as_lines
+from canfb.rows import Result, as_figures, as_lines, those
 from canfb.sdo.tables import read_table
 
 DEFAULT_MODULE = 0x20
@@ -104,6 +105,7 @@ def register(commands: Commands) -> None:
             option(
                 "--workers",
                 type=whole_number,
+                within=(1, inf, "1 at least"),
                 metavar="N",
                 help="processes (default: one per processor; 1: this one)",
             ),
@@ -156,12 +158,15 @@ def record(options: argparse.Namespace) -> int:
 def replay(options: argparse.Namespace) -> int:
     options.log = required_file(options.log)
     settings = settings_of(options)
-    if len(settings.modules) > 1 and (options.out or options.report) and not options.log.is_dir():
-        raise ConfigError("--out, --report: are for one module; choose it by NODE")
+    several = len(settings.modules) > 1 and (options.out or options.report) and not options.log.is_dir()
+    written = [path.resolve() for path in (options.out, options.frames) if path]
+    for said in those(
+        (several, "--out, --report: are for one module; choose it by NODE"),
+        (options.log.resolve() in written, f"--out, --frames: {options.log} is the log itself"),
+    ):
+        raise ConfigError(said)
     if options.report is not None:
         check_writable(options.report, "--report")
-    if any(path and path.resolve() == options.log.resolve() for path in (options.out, options.frames)):
-        raise ConfigError(f"--out, --frames: {options.log} is the log itself")
     with shown_progress(quiet=options.json) as progress:
         return (_folder if options.log.is_dir() else _one_log)(options, settings, progress)
 
@@ -214,25 +219,24 @@ def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
 
 def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
     out = None if options.out is None else check_table(options.out)
-    if options.workers is not None and options.workers < 1:
-        raise ConfigError(f"--workers {options.workers}: must be 1 at least")
     jobs, done = work_of(options.log, settings, out)
     progress.step(f"{len(jobs)} logs to replay, {len({row['log'] for row in done})} are done")
     rows = do_work(jobs, done, settings, out, options.workers, progress=progress.part)
     progress.clear()
+    lines: list[str] = []
     for row in rows:
-        name = f"{row['log']}, module {row['module']}"
-        if row["error"] is not None:
-            print(f"not done  {name}: {row['error']}")
-        elif out is None:
-            faults = ", ".join(f"{kind} {row[kind]}" for kind in KINDS if row[kind]) or "no faults"
-            print(f"{name}: {row['samples']} samples, {faults}")
-        if row["trouble"]:
-            print(f"damaged   {row['trouble']}")
-        if row["left_out"]:
-            print(f"left out  {name}: {row['left_out']} frames with its CAN-IDs (--channel)")
-    samples = sum(row["samples"] or 0 for row in rows)
-    print(f"{len(rows)} rows, {samples} samples; {sum(row['error'] is not None for row in rows)} not done")
-    if out is not None:
-        print(f"written  {out}")
+        name, error = f"{row['log']}, module {row['module']}", row["error"]
+        faults = ", ".join(f"{kind} {row[kind]}" for kind in KINDS if row[kind]) or "no faults"
+        lines += those(
+            (error is not None, f"not done  {name}: {error}"),
+            (error is None and out is None, f"{name}: {row['samples']} samples, {faults}"),
+            (row["trouble"], f"damaged   {row['trouble']}"),
+            (row["left_out"], f"left out  {name}: {row['left_out']} frames with its CAN-IDs (--channel)"),
+        )
+    samples, not_done = (
+        sum(row["samples"] or 0 for row in rows),
+        sum(row["error"] is not None for row in rows),
+    )
+    summary = f"{len(rows)} rows, {samples} samples; {not_done} not done"
+    print("\n".join([*lines, summary, *those((out, f"written  {out}"))]))
     return int(any(row["trouble"] for row in rows))

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 
-from canfb.cli.commands import SUMMARIES, examples_of
+from canfb.cli.commands import COMMANDS, examples_of
 from canfb.cli.printing import report
 from canfb.errors import ConfigError
 
@@ -24,6 +24,8 @@ Commands = Any  # argparse's sub-parser action has no public name
 Row = Callable[[Any], object]  # Adds to a parser, or to a group of one.
 # These options go with another one (True) or without it (False), and why.
 Idle = tuple[Sequence[str], str, bool, str]
+Within = tuple[float, float, str]  # Of a number: the smallest and the largest, and both in words.
+PORTS = 0, 65535, "0 to 65535"
 BUS_WORDS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 BUS_METAVARS = {"interface": "NAME", "bitrate": "BIT/S", "data_bitrate": "BIT/S", "channel": "CHANNEL"}
 ARGUMENTS = {"config": "CONFIG.yaml", "nodes": "NODE"}  # the rest are options
@@ -50,7 +52,7 @@ def add_command(
     **defaults: Any,
 ) -> None:
     """Add a command that calls ``action``, or a part of one with a ``summary``, and its options."""
-    summary = summary or SUMMARIES[name]
+    summary = summary or COMMANDS[name][1]
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -71,8 +73,11 @@ class _HelpBus(argparse.Action):
         parser.exit()
 
 
-def option(*names: str, **settings: Any) -> Row:
-    return lambda parser: parser.add_argument(*names, **settings)
+def option(*names: str, within: Within | None = None, **settings: Any) -> Row:
+    def add(parser: Any) -> None:
+        parser.add_argument(*names, **settings).within = within
+
+    return add
 
 
 def group(title: str, *rows: Row) -> Row:
@@ -85,15 +90,22 @@ def group(title: str, *rows: Row) -> Row:
 
 
 JSON = option("--json", action="store_true", help="the result, for programs")
-TIMEOUT = option("--timeout", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)")
+TIMEOUT = option(
+    "--timeout",
+    type=float,
+    within=(0.01, 60.0, "0.01 to 60"),
+    default=1.0,
+    metavar="S",
+    help="time for an SDO answer (1)",
+)
 READY_FILE = option("--ready-file", metavar="PATH", help="a file that exists while the program is on the bus")
 
 
 def add_group(commands: Commands, name: str, description: str = "") -> Commands:
     parser = commands.add_parser(
         name,
-        help=SUMMARIES[name],
-        description=description or SUMMARIES[name],
+        help=COMMANDS[name][1],
+        description=description or COMMANDS[name][1],
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.epilog = examples_of(parser.prog)
@@ -141,9 +153,15 @@ def refuse_idle(options: argparse.Namespace, names: Iterable[str], why: str) -> 
 
 
 def refuse_combinations(options: argparse.Namespace) -> None:
+    """ConfigError for options that do not go together, and for a number beyond its range."""
     for names, other, wanted, why in options.idle:
         if bool(given(options, [other])) != wanted:
             refuse_idle(options, names, why)
+    for action in options.parser._actions:
+        within, value = getattr(action, "within", None), getattr(options, action.dest, None)
+        if within and value is not None and not within[0] <= value <= within[1]:
+            said = f"{value:g}" if isinstance(value, float) else value
+            raise ConfigError(f"{action.option_strings[0]} {said}: must be {within[2]}")
 
 
 def given_bus(options: argparse.Namespace) -> dict[str, Any]:
@@ -241,14 +259,14 @@ def nodes(
     return add
 
 
-def _number(kind: Callable[[str], T], holds: Callable[[T], bool], what: str) -> Callable[[str], T]:
+def checked(kind: Callable[[str], T], holds: Callable[[T], bool], otherwise: str) -> Callable[[str], T]:
     """A type for argparse."""
 
     def parsed(text: str) -> T:
         with contextlib.suppress(ValueError):
             if holds(value := kind(text)):
                 return value
-        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+        raise argparse.ArgumentTypeError(f"{text!r} {otherwise}")
 
     return parsed
 
@@ -257,9 +275,9 @@ def _integer(text: str) -> int:
     return int(text, 0)
 
 
-whole_number = _number(_integer, lambda number: True, "a whole number")
-node_number = _number(_integer, lambda node: 1 <= node <= 127, "a node-ID (1 to 127, or 0x01 to 0x7F)")
-positive = _number(float, lambda value: 0.0 < value < 1e6, "a number above 0")
+whole_number = checked(_integer, lambda _: True, "is not a whole number")
+node_number = checked(_integer, lambda node: 1 <= node <= 127, "is not a node-ID (1 to 127, or 0x01 to 0x7F)")
+positive = checked(float, lambda value: 0.0 < value < 1e6, "is not a number above 0")
 
 
 def size(text: str) -> int:

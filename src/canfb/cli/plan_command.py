@@ -93,7 +93,7 @@ def plan(options: argparse.Namespace) -> int:
         overrides = PlanOptions(**{field.name: getattr(options, field.name) for field in fields(PlanOptions)})
         found = plan_of(config, [saved_configuration(one) for one in config.modules], overrides)
     except ValueError as error:
-        raise ConfigError(_named(str(error))) from None
+        raise ConfigError(_named(str(error), options.parser)) from None
     changes = changes_of(found)
     if options.json:
         print(json.dumps(plan_figures(found, changes), indent=2))
@@ -102,15 +102,7 @@ def plan(options: argparse.Namespace) -> int:
     return int(not found.holds)
 
 
-def _named(message: str) -> str:
+def _named(message: str, parser: argparse.ArgumentParser) -> str:
     first = message.split()[0]
-    options = {field: name for name, field, _, _ in NUMBERS} | {
-        "bit_rate": "--bitrate",
-        "cycles_per_revolution": "--cycles",
-        "adc_bits": "--adc-bits",
-        "jitter_us": "--jitter",
-        "modules": "--modules",
-        "samples_per_sync": "--samples-per-sync",
-        "noise_margin": "--noise-margin",
-    }
-    return message.replace(first, options.get(first, first), 1)
+    options = {action.dest: action.option_strings[-1] for action in parser._actions if action.option_strings}
+    return message.replace(first, {"jitter_us": "--jitter", **options}.get(first, first), 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 from canfb.bus.opening import check_device_bus
@@ -48,6 +49,7 @@ def register(commands: Commands) -> None:
         option(
             "--rate",
             type=float,
+            within=(0.1, 100_000, "0.1 to 100000 Hz"),
             metavar="HZ",
             help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
         ),
@@ -77,7 +79,14 @@ def register(commands: Commands) -> None:
             option(
                 "--gap", type=positive, default=0.1, metavar="S", help="a longer time step is a gap (0.1)"
             ),
-            option("--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"),
+            option(
+                "--gap-samples",
+                type=int,
+                within=(1, inf, "1 or more"),
+                default=20,
+                metavar="N",
+                help="samples lost at each gap (20)",
+            ),
         ),
         add_bus_options,
         idle=(
@@ -124,8 +133,6 @@ def simulate(options: argparse.Namespace) -> int:
 
 def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfig, ModuleConfig, Play]:
     module = chosen_module(options, config)
-    if options.rate is not None and not 0.1 <= options.rate <= 100_000:
-        raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
     simulation = jittered(config, options).simulation
     for name in ("samples", "rpm") if simulation.drive is not None else ():
         if getattr(options, name) is not None:
@@ -149,8 +156,6 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
 
 def _layout(options: argparse.Namespace) -> RecordingLayout:
     layout = chosen_layout(options.columns, options.mid_scale, options.scale, options.time_column)
-    if options.gap_samples < 1:
-        raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
     return replace(layout, gap_s=options.gap, gap_samples=options.gap_samples)
 
 

@@ -18,6 +18,7 @@ from canfb.cli.options import (
     add_bus_options,
     add_command,
     bus_options,
+    checked,
     group,
     nodes,
     option,
@@ -33,6 +34,7 @@ from canfb.files import check_writable, write_whole
 from canfb.master.access import CommissioningError, NodeAccess
 
 LISTEN_S = 2.0
+STATUS_WORD = checked(whole_number, lambda word: 0 <= word <= 0xFFFF, "is no status word (0x0000 to 0xFFFF)")
 
 
 def register(commands: Commands) -> None:
@@ -41,7 +43,7 @@ def register(commands: Commands) -> None:
         "why",
         why,
         nodes("node-ID of the module, or CONFIG.yaml"),
-        option("--status", metavar="WORD", type=_word, help="only decode this status word: 0x0006"),
+        option("--status", metavar="WORD", type=STATUS_WORD, help="only decode this status word: 0x0006"),
         JSON,
         group(
             "one file for support (--bundle)",
@@ -61,12 +63,6 @@ def register(commands: Commands) -> None:
             (["nodes", "config"], "status", False, "not with --status, which needs no bus"),
         ),
     )
-
-
-def _word(text: str) -> int:
-    if not 0 <= (word := whole_number(text)) <= 0xFFFF:
-        raise argparse.ArgumentTypeError(f"{text!r} is no status word (0x0000 to 0xFFFF)")
-    return word
 
 
 def diagnose(options: argparse.Namespace) -> int:
