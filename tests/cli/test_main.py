@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from canfb.cli import run as run_command
-from canfb.cli.printing import print_as_json, printed_log, printed_without_waiting
+from canfb.cli.printing import PRINTING, printed_log, printed_without_waiting
 from canfb.errors import BusError
 from canfb.hosting import serving
 from commands import Command
@@ -192,7 +192,7 @@ def test_lines_go_where_they_belong(capfd: pytest.CaptureFixture[str]) -> None:
     with printed_log(), printed_without_waiting():
         log.info("position valid")
         log.warning("the bus fails")
-        print_as_json()
+        PRINTING.as_json = True
         log.info("SYNC found")
     out, err = capfd.readouterr()
     text, values = out.splitlines()

@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    line = shlex.join(["canfb", *(sys.argv[1:] if arguments is None else arguments)])  # for reports
+    line = shlex.join(["canfb", *arguments])  # for reports
     arguments, said = current(arguments)
     if said:
         print_line(f"canfb: {said}", sys.stderr)

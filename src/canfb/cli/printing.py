@@ -46,49 +46,38 @@ def reader_may_go(stream: TextIO) -> Iterator[None]:
 PATIENCE_S = 0.5  # at the end, for a reader
 
 
-def print_as_json() -> None:
-    """Lines of the log, from here to the end of the command, as JSON objects."""
-    for one in _printing():
-        one.as_json = True
-
-
-def _printing() -> list[_Printing]:
-    return [one for one in logging.getLogger("canfb").handlers if isinstance(one, _Printing)]
-
-
 @contextlib.contextmanager
 def printed_log() -> Iterator[None]:
     """Print what the loggers ``canfb.*`` say: information on stdout, warnings on stderr."""
-    logger, handler = logging.getLogger("canfb"), _Printing()
+    logger = logging.getLogger("canfb")
     before = logger.level, logger.propagate
-    logger.addHandler(handler)
+    PRINTING.as_json = False
+    logger.addHandler(PRINTING)
     logger.setLevel(logging.INFO)
     logger.propagate = False  # the root logger has a handler of its own, for python-can
     try:
         yield
     finally:
-        logger.removeHandler(handler)
+        logger.removeHandler(PRINTING)
         logger.level, logger.propagate = before
 
 
 @contextlib.contextmanager
 def printed_without_waiting() -> Iterator[None]:
     """Within :func:`printed_log`: the program does not wait for a reader that takes no lines."""
-    printing = _printing()
-    for one in printing:
-        one.outputs = {
-            stream: output for stream in (sys.stdout, sys.stderr) if (output := _output(stream, one))
-        }
+    PRINTING.outputs = {stream: output for stream in (sys.stdout, sys.stderr) if (output := _output(stream))}
     try:
         yield
     finally:
-        for one in printing:
-            one.flush(PATIENCE_S)
-            one.outputs = {}
+        PRINTING.flush(PATIENCE_S)
+        PRINTING.outputs = {}
 
 
 class _Printing(logging.Handler):
-    """One line for each record; an output that fails is an error of the command."""
+    """One line for each record; an output that fails is an error of the command.
+
+    ``as_json``: from here to the end of the command, as JSON objects.
+    """
 
     as_json = False
 
@@ -123,16 +112,16 @@ class _Printing(logging.Handler):
             output.put(text)
 
 
-def _output(stream: TextIO, printing: _Printing) -> LineOutput | None:
+PRINTING = _Printing()  # of this process
+
+
+def _output(stream: TextIO) -> LineOutput | None:
     """None on Windows, and for what is no file."""
-    if sys.platform == "win32":
-        return None
-    try:
-        descriptor = stream.fileno()
-        stream.flush()
-    except (OSError, ValueError):
-        return None
-    return LineOutput(descriptor, printing.left_out, stream.encoding)
+    if sys.platform != "win32":
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+            return LineOutput(stream.fileno(), PRINTING.left_out, stream.encoding)
+    return None
 
 
 WIDTH = 30
@@ -170,15 +159,11 @@ class Progress:
         self._shown = ""
 
     def step(self, text: str) -> None:
-        if self._quiet:
-            return
         self.clear()
         self._began_s = self._said_s = self._now()
         self._print(f"... {text}\n")
 
     def part(self, part: float) -> None:
-        if self._quiet:
-            return
         part = min(max(part, 0.0), 1.0)
         percent = int(100.0 * part)
         if not self._bar:
@@ -206,6 +191,8 @@ class Progress:
         return f", {minutes} min {seconds:02d} s left" if minutes else f", {seconds} s left"
 
     def _print(self, text: str) -> None:
+        if self._quiet:
+            return
         try:
             print(text, end="", file=self._stream, flush=True)
         except OSError:

@@ -9,7 +9,7 @@ import argparse
 
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import READY_FILE, Commands, add_bus_options, add_command, bus_options, option
-from canfb.cli.printing import print_as_json, printed_without_waiting
+from canfb.cli.printing import PRINTING, printed_without_waiting
 from canfb.configuration import ANY_NODES, load_config
 from canfb.hosting.hosting import Hosting
 from canfb.hosting.readiness import Readiness
@@ -33,8 +33,7 @@ def run(options: argparse.Namespace) -> int:
     """Serve the nodes until Ctrl-C, SIGTERM or SIGHUP; SIGUSR1 writes a diagnosis."""
     config = load_config(options.config, ANY_NODES)
     serving = Hosting(config, bus_options(options, config.bus), verbose=options.verbose)
-    if options.json:
-        print_as_json()
+    PRINTING.as_json = options.json
     with (
         printed_without_waiting(),
         Readiness(options.ready_file) as readiness,

@@ -14,17 +14,17 @@ from canfb.bus.clocks import page_date
 from canfb.bus.opening import describe, group_port
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.commands import build_parser
-from canfb.cli.options import JITTER, READY_FILE, Commands, add_command, group, jittered, option
-from canfb.cli.printing import Progress, print_as_json, say
+from canfb.cli.options import JITTER, PORTS, READY_FILE, Commands, add_command, group, jittered, option
+from canfb.cli.printing import PRINTING, Progress, say
 from canfb.configuration import load_config
-from canfb.errors import ConfigError
 from canfb.files import prepare_folder, write_whole
 from canfb.hosting.event_log import summary_of
 from canfb.hosting.readiness import Readiness
 from canfb.hosting.trying import START_ALL, NetworkOnBus, end_main, private_bus
+from canfb.rows import those
 
-LEAST_HZ, MOST_HZ = 50.0, 1000.0  # below, the machine of the example accelerates too much from SYNC to SYNC
-
+# Below, the machine of the example accelerates too much from SYNC to SYNC.
+RATES = 50.0, 1000.0, "50 to 1000 Hz"
 OF_THE_NETWORK = ("rate", "jitter", "no_page", "port", "ready_file", "write_config")
 
 
@@ -42,10 +42,24 @@ def register(commands: Commands) -> None:
             ),
             option("--out", type=Path, metavar="DIR", help="folder for pictures (SVG) and report.html"),
         ),
-        option("--rate", type=float, default=100.0, metavar="HZ", help="of SYNC, 50 to 1000 (100)"),
+        option(
+            "--rate",
+            type=float,
+            within=RATES,
+            default=100.0,
+            metavar="HZ",
+            help="of SYNC, 50 to 1000 (100)",
+        ),
         JITTER,
         option("--no-page", action="store_true", help="without the page"),
-        option("--port", metavar="N", type=int, default=0, help="of the page; default: any free port"),
+        option(
+            "--port",
+            metavar="N",
+            type=int,
+            within=PORTS,
+            default=0,
+            help="of the page; default: any free port",
+        ),
         option("--json", action="store_true", help="JSON, for programs"),
         option("--write-config", type=Path, metavar="FILE", help="write its configuration, for log replay"),
         READY_FILE,
@@ -61,13 +75,8 @@ def try_it(options: argparse.Namespace) -> int:
         return _tell_story(options)
     from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS  # here: for this, no other command is imported
 
-    if not LEAST_HZ <= options.rate <= MOST_HZ:
-        raise ConfigError(f"--rate {options.rate:g}: must be {LEAST_HZ:g} to {MOST_HZ:g} Hz")
-    if not 0 <= options.port <= 65535:
-        raise ConfigError(f"--port {options.port}: must be 0 to 65535")
     with contextlib.ExitStack() as held:
-        if options.json:
-            print_as_json()
+        PRINTING.as_json = options.json
         words = held.enter_context(private_bus())
         path = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-try-")), "feedback.yaml")
         path.write_text(EXAMPLE.replace(EXAMPLE_BUS, json.dumps(words)), encoding="utf-8")
@@ -107,27 +116,25 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
         f'canfb sdo read 0x{module.node_id:02X} "status word" {bus}',
         f"canfb calibrate 0x{module.node_id:02X} --out measured {bus}",
     ]
-    if options.json:
-        said = {
-            "event": "ready",
-            "page": address,
-            "interface": network.words["interface"],
-            "channel": group,
-            "port": group_port(group),
-            "rate_hz": options.rate,
-            "node_id": module.node_id,
-            "encoder_interface": module.encoder_interface,
-            "commands": following,
-        }
-        say(json.dumps(said))
-        return
+    said = {
+        "event": "ready",
+        "page": address,
+        "interface": network.words["interface"],
+        "channel": group,
+        "port": group_port(group),
+        "rate_hz": options.rate,
+        "node_id": module.node_id,
+        "encoder_interface": module.encoder_interface,
+        "commands": following,
+    }
     nodes = f"node {module.node_id} ({module.node_id:02X}h), its encoder interface and SYNC"
-    say(f"running {nodes} at {options.rate:g} Hz on {describe(network.words)}; end with Ctrl-C")
-    if address is not None:
-        say(f"open {address}")
-    say("next, in another terminal:")
-    for line in following:
-        say(f"  {line}")
+    lines = [
+        f"running {nodes} at {options.rate:g} Hz on {describe(network.words)}; end with Ctrl-C",
+        *those((address, f"open {address}")),
+        "next, in another terminal:",
+        *(f"  {line}" for line in following),
+    ]
+    say(json.dumps(said) if options.json else "\n".join(lines))
 
 
 def _tell_story(options: argparse.Namespace) -> int:
@@ -139,7 +146,7 @@ def _tell_story(options: argparse.Namespace) -> int:
 
     if options.out:
         prepare_folder(options.out)
-    date = page_date() if options.out else ""
+    date = page_date() if options.out else ""  # a wrong one is found before the work
     network = DemoNetwork()
     story = run_story(network, Progress(options.json or not sys.stderr.isatty()).step)
     pictures, page = (
