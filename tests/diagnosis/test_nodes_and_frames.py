@@ -33,7 +33,7 @@ def words_of(read: Read) -> FrameWords:
     return words
 
 
-WORDS = words_of(known_objects(Config(), [MODULE_ID])[MODULE_ID])
+WORDS = words_of(known_objects(Config(), [MODULE_ID])[MODULE_ID][0])
 
 
 def test_the_position_pdo_has_its_objects_by_name_with_units() -> None:

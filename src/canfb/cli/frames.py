@@ -26,7 +26,8 @@ def show_frames(options: argparse.Namespace) -> int:
     """Show frames until Ctrl-C, the end of the log, or --seconds."""
     config = named_config(options)
     words = FrameWords(ObjectDescriptions(eds_path("canfb-module"), 1))
-    modules, read = known_objects(config, options.nodes), set[int]()
+    known, read = known_objects(config, options.nodes), set[int]()
+    modules = {node: one for node, (one, _) in known.items()}
     reader = MessageReader(options.seconds)
     with contextlib.ExitStack() as held:
         held.enter_context(ending_on_signals(reader.stop))
@@ -53,6 +54,5 @@ def _show(options: argparse.Namespace, words: FrameWords, frames: Iterator[tuple
             node = recognition.found(frame.can_id, frame.data)
             if node is not None:
                 words.learn(node, assumed_objects(node))
-        if options.pdo and not decoded.is_pdo:
-            continue
-        say(json.dumps(decoded.figures(time_s)) if options.json else decoded.line(time_s))
+        if decoded.is_pdo or not options.pdo:
+            say(json.dumps(decoded.figures(time_s)) if options.json else decoded.line(time_s))

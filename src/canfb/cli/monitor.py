@@ -7,19 +7,21 @@ import contextlib
 import io
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.bus.shared_bus import SharedBus
 from canfb.cli.options import (
+    PORTS,
     READY_FILE,
     Commands,
     add_bus_options,
     add_command,
     bus_options,
+    checked,
     group,
     named_config,
     nodes,
@@ -33,7 +35,7 @@ from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import ModuleReading, NodeLayout, assumed_layout, known_layouts
 from canfb.monitoring.lines import MachineUnits, plain_lines
 from canfb.monitoring.snapshot import BusSnapshot
-from canfb.monitoring.watching import MessageReader, Watching
+from canfb.monitoring.watching import MessageReader, Show, Watching
 
 if TYPE_CHECKING:
     from canfb.scope.page_server import LivePage
@@ -51,21 +53,11 @@ IDLE = (
     (["sdo", "listen"], "log", False, "a log answers no SDO"),
 )
 FASTEST_HZ, RATE_HZ, LINES_RATE_HZ = 50.0, 5.0, 1.0
-Show = Callable[[BusSnapshot], None]
 
 
-def bit_rate_of(words: Mapping[str, Any]) -> int | None:
-    """The bit rate among python-can's words, bit/s; None without one."""
-    bit_rate = words.get("bitrate")
-    return bit_rate if isinstance(bit_rate, int) and bit_rate > 0 else None
-
-
-def units(text: str) -> MachineUnits:
-    """A unit of the machine such as "5 mm": a type for argparse."""
-    try:
-        return MachineUnits.parse(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
+units = checked(
+    MachineUnits.parse, lambda _: True, "is not a distance per revolution such as '5 mm' or '360 deg'"
+)
 
 
 def register(commands: Commands) -> None:
@@ -97,7 +89,7 @@ def register(commands: Commands) -> None:
         group(
             "a page in the browser",
             option("--web", action="store_true", help="watch modules on a page of this computer"),
-            option("--port", metavar="N", type=int, default=0, help="default: any free port"),
+            option("--port", metavar="N", type=int, default=0, within=PORTS, help="default: any free port"),
             READY_FILE,
         ),
         add_bus_options,
@@ -111,37 +103,39 @@ def monitor(options: argparse.Namespace) -> int:
         from canfb.cli.frames import show_frames  # here: neither the page nor the frames are always wanted
 
         return show_frames(options)
-    return _serve_page(options) if options.web else _watch(options)
-
-
-def _watch(options: argparse.Namespace) -> int:
-    words, layouts, model = _model(options)
-    with output(options, "canfb monitor") as (show, rate_hz):
-        reader = MessageReader(options.seconds)
-        watching = Watching(model, show, min(options.updates or rate_hz, FASTEST_HZ), reader)
-        with ending_on_signals(watching.stop):
-            if options.log is not None:
-                own_time = None if options.json or options.plain else 1.0
-                watching.log(options.log, options.speed or own_time)
-            else:
-                with SharedBus(open_bus(words)) as bus, contextlib.ExitStack() as held:
-                    if options.sdo:
-                        held.enter_context(_reading(bus, layouts, watching))
-                    watching.opened(bus)
-    return 0
-
-
-def _model(options: argparse.Namespace) -> tuple[dict[str, Any], list[NodeLayout], BusModel]:
     config = named_config(options)
     words = bus_options(options, config.bus)
     layouts = known_layouts(config, options.nodes)
     if options.sdo and not layouts:
         raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
-    return (
-        words,
-        layouts,
-        BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes)),
-    )
+    model = BusModel(layouts, assumed_layout, words.get("bitrate"), only_known=bool(options.nodes))
+    page = _live_page(options) if options.web else None
+    with contextlib.ExitStack() as held:
+        show, rate_hz = held.enter_context(output(options, page))
+        reader = MessageReader(options.seconds)
+        watching = Watching(model, show, min(options.updates or rate_hz, FASTEST_HZ), reader)
+        held.enter_context(ending_on_signals(reader.stop))
+        bus = None if options.log else held.enter_context(SharedBus(open_bus(words)))
+        if options.sdo and bus is not None:
+            held.enter_context(_reading(bus, layouts, watching, page))
+        readiness = held.enter_context(Readiness(options.ready_file))
+        if page is not None:
+            options.opened(page.server.address)
+        readiness.ready()
+        if bus is not None:
+            watching.opened(bus)
+            return 0
+        own_time = None if options.json or options.plain else 1.0
+        watching.log(options.log, options.speed or own_time)
+        if page is not None:
+            reader.stopped.wait()
+    return 0
+
+
+def _live_page(options: argparse.Namespace) -> LivePage:
+    from canfb.scope.page_server import LivePage  # here: the server is for the page alone
+
+    return LivePage(options.port, options.per_revolution)
 
 
 def _reading(
@@ -160,16 +154,19 @@ def _reading(
 
 
 @contextlib.contextmanager
-def output(options: argparse.Namespace, title: str) -> Iterator[tuple[Show, float]]:
+def output(options: argparse.Namespace, page: LivePage | None) -> Iterator[tuple[Show, float]]:
     """The function that shows a snapshot, and its usual rate, Hz."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # µ on a terminal that has none
-    if options.json:
+    if page is not None:
+        with page.server:
+            yield page.show, RATE_HZ
+    elif options.json:
         yield lambda snapshot: say(json.dumps(snapshot.to_json(), ensure_ascii=False)), RATE_HZ
     elif options.plain or not sys.stdout.isatty():
         yield lambda snapshot: _say_lines(snapshot, options), LINES_RATE_HZ
     else:
-        with _page(options, title) as show:
+        with _page(options) as show:
             yield show, RATE_HZ
 
 
@@ -179,7 +176,7 @@ def _say_lines(snapshot: BusSnapshot, options: argparse.Namespace) -> None:
 
 
 @contextlib.contextmanager
-def _page(options: argparse.Namespace, title: str) -> Iterator[Show]:
+def _page(options: argparse.Namespace) -> Iterator[Show]:
     try:
         from rich.console import Console
         from rich.live import Live
@@ -197,38 +194,8 @@ def _page(options: argparse.Namespace, title: str) -> Iterator[Show]:
         def show(snapshot: BusSnapshot) -> None:
             nonlocal last
             last = snapshot
-            live.update(Page(snapshot, options.per_revolution, title, plain=plain), refresh=True)
+            live.update(Page(snapshot, options.per_revolution, "canfb monitor", plain=plain), refresh=True)
 
         yield show
     if last is not None:  # the page has gone with its screen
         _say_lines(last, options)
-
-
-def _serve_page(options: argparse.Namespace) -> int:
-    from canfb.scope.page_server import LivePage  # here: the server is for the page alone
-
-    if not 0 <= options.port <= 65535:
-        raise ConfigError(f"--port {options.port}: must be 0 to 65535")
-    words, layouts, model = _model(options)
-    with contextlib.ExitStack() as held:
-        bus = None if options.log else held.enter_context(SharedBus(open_bus(words)))
-        page = LivePage(options.port, options.per_revolution)
-        watching = Watching(model, page.show, RATE_HZ)
-        server = held.enter_context(page.server)
-        if options.sdo and bus is not None:
-            held.enter_context(_reading(bus, layouts, watching, page))
-        readiness = held.enter_context(Readiness(options.ready_file))
-        held.enter_context(ending_on_signals(lambda: _end(watching.stop, page.server.stopped.set)))
-        options.opened(server.address)
-        readiness.ready()
-        if bus is not None:
-            watching.opened(bus)
-        else:
-            watching.log(options.log, options.speed or 1.0)
-            server.stopped.wait()
-    return 0
-
-
-def _end(*stops: Callable[[], None]) -> None:
-    for stop in stops:
-        stop()

@@ -147,12 +147,7 @@ def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[Multiplexer,
 
 def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]:
     """Of these nodes (1..127), by default of all configured ones."""
-    return [layout_of(node, read, origin) for node, read, origin in _known(config, nodes)]
-
-
-def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, Read]:
-    """The same by node-ID, as configured or by default."""
-    return {node: read for node, read, _ in _known(config, nodes)}
+    return [layout_of(node, read, origin) for node, (read, origin) in known_objects(config, nodes).items()]
 
 
 def assumed_layout(node_id: int) -> NodeLayout:
@@ -165,14 +160,15 @@ def assumed_objects(node_id: int) -> Read:
     return _reader(ModuleConfig(node_id=node_id, encoder_interface=interface))
 
 
-def _known(config: Config, nodes: Sequence[int]) -> list[tuple[int, Read, Origin]]:
+def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, tuple[Read, Origin]]:
+    """The same by node-ID, as configured or by default."""
     configured = {module.node_id: module for module in config.modules if module.node_id != UNCONFIGURED}
-    return [
-        (node, _reader(configured[node]), Origin.CONFIGURATION)
+    return {
+        node: (_reader(configured[node]), Origin.CONFIGURATION)
         if node in configured
-        else (node, assumed_objects(node), Origin.DEFAULT)
-        for node in dict.fromkeys(nodes or configured)
-    ]
+        else (assumed_objects(node), Origin.DEFAULT)
+        for node in nodes or configured
+    }
 
 
 ALIKE = 16  # PDOs in a row that look like those of a module

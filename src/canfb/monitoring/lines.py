@@ -34,7 +34,7 @@ class MachineUnits:
         match = SPELLING.fullmatch(text)
         number = float(match[1]) if match else math.nan
         if match is None or not math.isfinite(number) or number == 0.0:
-            raise ValueError(f"{text!r} is not a distance per revolution such as '5 mm' or '360 deg'")
+            raise ValueError(f"{text!r} is not a distance per revolution")
         return cls(number, match[2])
 
     def position(self, revolutions: float | None) -> str:

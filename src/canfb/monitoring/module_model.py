@@ -175,9 +175,8 @@ class ModuleModel:
             self._positions.clear()
 
     def _follow(self, position: int, now: float) -> None:
-        if self._state not in (None, PositionState.VALID):
-            return
-        if not self._positions or now - self._positions[-1][0] >= STEP_S:
+        known = self._state in (None, PositionState.VALID)
+        if known and (not self._positions or now - self._positions[-1][0] >= STEP_S):
             self._positions.append((now, position))
 
     def snapshot(self, now: float, sync_hz: float | None = None) -> ModuleSnapshot:
@@ -187,14 +186,16 @@ class ModuleModel:
         per_revolution = layout.units_per_revolution
         amplitude = values.get(od.FEEDBACK_AMPLITUDE)
         crc32 = values.get(od.TABLE_ACTIVE_CRC)
-        velocity = self._velocity_rad_s(now)
-        assumed = set(layout.assumed)
-        if self._measured_velocity(now) is not None:
+        velocity, assumed = self._measured_velocity(now), set(layout.assumed)
+        if velocity is None:
+            velocity = self._velocity_of_positions(now)
+        else:
             assumed.discard("velocity_rad_s")
         if layout.supervision.noise_margin and od.FEEDBACK_NOISE not in values:
             assumed.add("residual_limit_cycles")
         noise = values.get(od.FEEDBACK_NOISE, 0) / LIMIT_UNITS or None
         raw = amplitude is None and bool(self._tracks)
+        cause = od.loss_cause(values.get(od.COUNTER_LOSS_CAUSE))
         return ModuleSnapshot(
             layout=str(layout.origin),
             age_s=_since(self._came_s, now),
@@ -222,24 +223,18 @@ class ModuleModel:
             tracks_counts=list(self._tracks),
             tracks_heard=self._tracks_received,
             seen=dict(self._counted),
-            lost_by=self._lost_by(),
+            lost_by=cause.text if cause is not None and self._state is PositionState.LOST else None,
             since_fault_s=_since(self._fault_s, now),
             counters={name: int(values[place]) for place, name in od.COUNTERS.items() if place in values},
             assumed=sorted(assumed),
         )
-
-    def _lost_by(self) -> str | None:
-        cause = od.loss_cause(self._values.get(od.COUNTER_LOSS_CAUSE))
-        return cause.text if cause is not None and self._state is PositionState.LOST else None
 
     def _measured_velocity(self, now: float) -> float | None:
         measured = self._values.get(od.FEEDBACK_VELOCITY)
         fresh = measured is not None and now - self._times[od.FEEDBACK_VELOCITY] <= FRESH_S
         return float(measured) if measured is not None and fresh else None
 
-    def _velocity_rad_s(self, now: float) -> float | None:
-        if (measured := self._measured_velocity(now)) is not None:
-            return measured
+    def _velocity_of_positions(self, now: float) -> float | None:
         if len(self._positions) < 2 or not self.layout.units_per_revolution:
             return None
         (first_s, _), (last_s, _) = self._positions[0], self._positions[-1]

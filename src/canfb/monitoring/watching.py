@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -48,10 +49,8 @@ class MessageReader:
     ) -> None:
         self._seconds, self.clock, self._wall, self.sleep = seconds, clock, wall, sleep
         self._report = report
-        self.stopped = False
-
-    def stop(self) -> None:
-        self.stopped = True
+        self.stopped = threading.Event()
+        self.stop = self.stopped.set
 
     def bus(
         self, bus: can.BusABC, due: Callable[[], float] = lambda: float("inf")
@@ -60,7 +59,7 @@ class MessageReader:
         times = ReceiveTimes(self.clock, self._wall)
         reception = Reception(bus, self._report, self.clock, self.sleep)
         began = now = self.clock()
-        while not self.stopped and (self._seconds is None or now - began < self._seconds):
+        while not self.stopped.is_set() and (self._seconds is None or now - began < self._seconds):
             message = reception.receive(min(LONGEST_WAIT_S, max(LEAST_WAIT_S, due() - (now - began))))
             now = self.clock()
             if message is None:
@@ -78,7 +77,7 @@ class MessageReader:
         for frame in log_file:
             stamp = frame.timestamp or 0.0
             began = stamp if began is None else began
-            if self.stopped or (self._seconds is not None and stamp - began > self._seconds):
+            if self.stopped.is_set() or (self._seconds is not None and stamp - began > self._seconds):
                 return
             yield stamp - began, frame
         if began is None:
@@ -134,7 +133,7 @@ class Watching:
         for now, frame in self._reader.log(path):
             if not abs(now - due) < LONGEST_GAP_S:
                 due = now + self._interval_s
-            while now >= due and not self._reader.stopped:
+            while now >= due and not self._reader.stopped.is_set():
                 if speed is not None:
                     self._reader.sleep(self._interval_s / speed)
                 self._look(due)

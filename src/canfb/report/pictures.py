@@ -154,10 +154,10 @@ def coverage(samples: npt.NDArray[np.int64]) -> str:
 
 def table_curve(table: CorrectionTable, before: CorrectionTable | None) -> str:
     place = np.arange(512) / 512.0
-    curves = [("after", "new table", table)]
-    if before is not None:
-        curves.insert(0, ("before", "table before", before))
-    lines = [(style, name, PERCENT * wrap(table(place) - place)) for style, name, table in curves]
+    curves = ("before", "table before", before), ("after", "new table", table)
+    lines = [
+        (style, name, PERCENT * wrap(one(place) - place)) for style, name, one in curves if one is not None
+    ]
     most = nice_limit(np.concatenate([line for _, _, line in lines]))
     labels = "raw phase, cycles", "correction, % of a cycle"
     plot = Plot("Correction over the raw phase", CYCLE, (-most, most), labels)

@@ -144,13 +144,11 @@ class Plot:
         )
 
     def _legend_html(self) -> str:
-        if not self.legend:
-            return ""
         items = "".join(
             f'<span><i class="{key.kind}-key {key.style}"></i>{escape(key.name)}</span>'
             for key in self.legend
         )
-        return f'<div class="legend">{items}</div>'
+        return f'<div class="legend">{items}</div>' if items else ""
 
 
 def _text(x: float, y: float, style: str, words: str) -> str:

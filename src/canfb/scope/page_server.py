@@ -11,19 +11,20 @@ import hmac
 import json
 import queue
 import secrets
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from importlib.resources import files
+from socketserver import ThreadingTCPServer
 from typing import Any
 from urllib.parse import urlsplit
 
-from canfb.errors import CanfbError
+from canfb.errors import CanfbError, reason
 from canfb.monitoring import lines
 from canfb.monitoring.layout import ModuleReading
 from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
+from canfb.rows import those
 from canfb.scope.traces import Curve, ModuleTraces
 
 LOOPBACK = "127.0.0.1"
@@ -76,12 +77,10 @@ class PageServer:
         self._first = first
         self._viewers: list[Events] = []
         self._lock = threading.Lock()
-        self.stopped = threading.Event()  # For who waits for the end; set it from a signal handler, too.
         try:
             self._server = _Server((LOOPBACK, port), self)
         except (OSError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise CanfbError(f"cannot listen at {LOOPBACK}:{port}: {reason}") from None
+            raise CanfbError(f"cannot listen at {LOOPBACK}:{port}: {reason(error)}") from None
         bound = self._server.server_address[1]
         self.host = LOOPBACK if bound == HTTP_PORT else f"{LOOPBACK}:{bound}"
         self.address = f"http://{self.host}/#{self.token}"
@@ -129,13 +128,13 @@ class PageServer:
 
     def refusal(self, hosts: list[str], origin: str | None, path: str, token: str) -> str:
         """Why a request is not served, or "". No name made to point here gets an answer."""
-        if hosts != [self.host]:
-            return f"another host name than {self.host}"
-        if origin not in (None, f"http://{self.host}"):
-            return "a request of another site"
-        if path == STREAM and not hmac.compare_digest(token.encode(), self.token.encode()):
-            return OPEN_ADDRESS
-        return ""
+        known = path != STREAM or hmac.compare_digest(token.encode(), self.token.encode())
+        refusals = those(
+            (hosts != [self.host], f"another host name than {self.host}"),
+            (origin not in (None, f"http://{self.host}"), "a request of another site"),
+            (not known, OPEN_ADDRESS),
+        )
+        return refusals[0] if refusals else ""
 
 
 def _end(viewer: Events) -> None:
@@ -145,7 +144,7 @@ def _end(viewer: Events) -> None:
     viewer.put_nowait(None)
 
 
-class _Server(ThreadingHTTPServer):
+class _Server(ThreadingTCPServer):  # that of http.server would look up a host name
     daemon_threads = True
     block_on_close = False
 
@@ -154,20 +153,13 @@ class _Server(ThreadingHTTPServer):
         self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
         super().__init__(address, _Handler)
 
-    def server_bind(self) -> None:
-        """Without the look-up of a host name."""
-        self.socket.bind(self.server_address)
-        self.server_address = self.socket.getsockname()
-
-    def process_request(self, request: object, client_address: object) -> None:
-        assert isinstance(request, socket.socket)
+    def process_request(self, request: Any, client_address: Any) -> None:
         if self._places.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
-    def process_request_thread(self, request: object, client_address: object) -> None:
-        assert isinstance(request, socket.socket)
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
         try:
             super().process_request_thread(request, client_address)
         finally:

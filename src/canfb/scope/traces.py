@@ -66,8 +66,7 @@ class ModuleTraces:
         self._follow(module)
 
     def know(self, correction: Correction) -> None:
-        if correction != self._read:
-            self._read, self._due_s = correction, -math.inf
+        self._read = correction
 
     def _judge(self, module: ModuleSnapshot) -> None:
         """It counts while 2020:04 and status bit 7 agree."""
