@@ -288,7 +288,6 @@ class Story:
     calibration: Calibration | None = None
     table_crc32: int = 0
     flagged_at_once: int = 0
-    flagged_samples: int = 0
     wrong_and_valid: int = 0
     wrong_counts_after: int = 0
     residual_number: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -364,7 +363,6 @@ def _provoke_faults(network: DemoNetwork, story: Story) -> None:
     lost = first + LOST_SAMPLE
     # A sample that never came can be missed only when the next SYNC comes.
     story.flagged_at_once = sum((n + 1 if n == lost else n) in flagged for n in network.source.faults)
-    story.flagged_samples = sum(n in flagged for n in range(first, first + FAULT_SAMPLES))
 
 
 def _error(network: DemoNetwork, first: int, last: int) -> tuple[FloatArray, FloatArray]:
