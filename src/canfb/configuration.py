@@ -24,7 +24,6 @@ from canfb.interface.encoder_interface import InterfaceConfig
 from canfb.marked_yaml import YamlError, compose, construct, found_at, pairs
 from canfb.marked_yaml import line_of as yaml_line
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig, SecondPositionConfig
-from canfb.rows import those
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.sources.protocol import SourceConfig, source_kinds
@@ -327,12 +326,13 @@ def _check_distinct_nodes(name: str, root: yaml.Node, config: Config) -> None:
         folders = [Path(folder).absolute() for folder in (mine.state_dir, theirs.state_dir) if folder]
         alike = type(mine) is type(theirs) and mine.serial_number == theirs.serial_number
         unnamed = UNCONFIGURED in (mine.node_id, theirs.node_id)
-        for said in those(
+        for holds, said in (
             (mine.node_id == theirs.node_id != UNCONFIGURED, f"node_id {mine.node_id} {both}"),
             (len(folders) > len(set(folders)), f"state_dir {both}"),
             (alike and unnamed, f"serial_number {mine.serial_number} {both}: LSS needs unique ones"),
         ):
-            raise _config_error(name, line, said)
+            if holds:
+                raise _config_error(name, line, said)
     if config.played is not None and config.played.drive is not None:
         taken = {one.node_id: f"node_id of {title}" for title, one, _ in devices}
         taken |= {node_id: f"encoder_interface of {title}" for title, node_id in sampled.items()}

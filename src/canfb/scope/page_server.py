@@ -24,7 +24,6 @@ from canfb.errors import CanfbError, reason
 from canfb.monitoring import lines
 from canfb.monitoring.layout import ModuleReading
 from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
-from canfb.rows import those
 from canfb.scope.traces import Curve, ModuleTraces
 
 LOOPBACK = "127.0.0.1"
@@ -129,12 +128,12 @@ class PageServer:
     def refusal(self, hosts: list[str], origin: str | None, path: str, token: str) -> str:
         """Why a request is not served, or "". No name made to point here gets an answer."""
         known = path != STREAM or hmac.compare_digest(token.encode(), self.token.encode())
-        refusals = those(
+        refusals = (
             (hosts != [self.host], f"another host name than {self.host}"),
             (origin not in (None, f"http://{self.host}"), "a request of another site"),
             (not known, OPEN_ADDRESS),
         )
-        return refusals[0] if refusals else ""
+        return next((why for holds, why in refusals if holds), "")
 
 
 def _end(viewer: Events) -> None:
