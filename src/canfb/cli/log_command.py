@@ -6,7 +6,6 @@ import argparse
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf
 from pathlib import Path
 
 from canfb.bus.opening import describe, open_bus
@@ -105,7 +104,7 @@ def register(commands: Commands) -> None:
             option(
                 "--workers",
                 type=whole_number,
-                within=(1, inf, "1 at least"),
+                within=(1, float("inf"), "1 at least"),
                 metavar="N",
                 help="processes (default: one per processor; 1: this one)",
             ),
@@ -233,10 +232,9 @@ def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Prog
             (row["trouble"], f"damaged   {row['trouble']}"),
             (row["left_out"], f"left out  {name}: {row['left_out']} frames with its CAN-IDs (--channel)"),
         )
-    samples, not_done = (
-        sum(row["samples"] or 0 for row in rows),
-        sum(row["error"] is not None for row in rows),
+    samples = sum(row["samples"] or 0 for row in rows)
+    lines.append(
+        f"{len(rows)} rows, {samples} samples; {sum(row['error'] is not None for row in rows)} not done"
     )
-    summary = f"{len(rows)} rows, {samples} samples; {not_done} not done"
-    print("\n".join([*lines, summary, *those((out, f"written  {out}"))]))
+    print("\n".join([*lines, *those((out, f"written  {out}"))]))
     return int(any(row["trouble"] for row in rows))
