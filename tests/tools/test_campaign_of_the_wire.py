@@ -35,6 +35,7 @@ FOUND = (  # each was valid and wrong
     "SYNC doubled, later:plain/rx:56001000010",
     "PDO replayed:counter:57001000007",
     "witness, deaf:servo:1870003000013",
+    "SYNC, second producer:servo/rx:1970001000059",
     "SYNC of odd kind:servo:1940001000014",
     "SYNC, another rate, doubled:plain/rx:1930001000001",
     "stall of all, TPDO 1:times+counter/rx:1920002000003",

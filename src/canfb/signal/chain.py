@@ -289,10 +289,12 @@ class SignalChain:
         if passed <= times.waited:  # what was waited for did not pass
             return self._restarted(sample, least=float("inf"))
         next_one = elapsed + times.waited < HOLE_INTERVALS
+        # Of several samples the earlier ones lie in one interval of SYNC, that of the times or another.
+        placed = self._per_sync == 1 or abs(passed - counted) < HOLE_INTERVALS - 1.0
         if self.measures_intervals:
             elapsed = passed - times.waited  # what was waited for is counted already
         times.waited = self._left_out = 0.0
-        return self.after(sample, elapsed, next_one=next_one)
+        return self.after(sample, elapsed, placed=placed, next_one=next_one)
 
     def withheld(self, feedback: Feedback) -> Feedback:
         """The last sample, which was valid, as one that is not confirmed: nothing is learned from it."""
