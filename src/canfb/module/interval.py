@@ -27,7 +27,7 @@ class SamplingInterval:
         self.samples_per_sync = 1
         # The unit of the speeds of samples that bring their time; 0.0: they bring none.
         self.speed_unit_s = 0.0
-        syncs.expected_s = lambda: self.speed_unit_s * self.samples_per_sync or self.nominal_s
+        syncs.expected_s = lambda: self.timed_s or self.nominal_s
 
     @property
     def nominal_s(self) -> float:
@@ -35,9 +35,14 @@ class SamplingInterval:
         return float(self._period_us.value) * SECONDS_PER_US
 
     @property
+    def timed_s(self) -> float:
+        """By the sample times; 0.0: none."""
+        return self.speed_unit_s * self.samples_per_sync
+
+    @property
     def known_s(self) -> float:
         """Where it is certain enough for limits: 1006h only while no SYNC shows that it is wrong."""
-        measured_s = self.speed_unit_s * self.samples_per_sync or self._syncs.grid.period
+        measured_s = self.timed_s or self._syncs.grid.period
         if measured_s:
             return measured_s
         rough_s, nominal_s = self._syncs.grid.rough, self.nominal_s
@@ -45,9 +50,8 @@ class SamplingInterval:
 
     @property
     def per_sync(self) -> int:
-        """Of the intervals that sample times show, in one of SYNC: 2 where every other SYNC is left out."""
-        unit_s = self.speed_unit_s * self.samples_per_sync
-        return max(1, round(self._syncs.grid.period / unit_s)) if unit_s else 1
+        """Intervals of the sample times in one of SYNC: 2 where every other one is left out."""
+        return max(1, round(self._syncs.grid.period / self.timed_s)) if self.timed_s else 1
 
     @property
     def seconds(self) -> float:

@@ -353,8 +353,7 @@ class SignalChain:
             if after is None or (between and (between[-1].status ^ feedback.status) & (VALID | LOST)):
                 pulse = None
             elif one.zero_pulse is not None and follows:
-                before = stages.estimator.tracker.places[0]
-                pulse = self.reference.pulse(before, after, one.zero_pulse, stages.clock, one.elapsed)
+                pulse = self.reference.pulse(after, one.zero_pulse, stages.clock, one.elapsed)
             between.append(feedback)
         newest = samples[-1]
         whole = elapsed * self._per_sync if bad else newest.elapsed

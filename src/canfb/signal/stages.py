@@ -281,11 +281,10 @@ class Stages:
         zero_pulse = sample.zero_pulse
         no_coarse = sample.coarse_sine is None
         if not no_coarse or zero_pulse is not None or pulse is not None or reference.in_doubt:
-            # As the estimator has it: the speed up to here may be known only now.
-            before = self._tracker.places[0] if measured and self.place else None
-            if pulse is None and zero_pulse is not None and before is not None:
-                pulse = reference.pulse(before, track, zero_pulse, self.clock, elapsed)
-            bits, jump = reference.apply(sample, track, bits, pulse, elapsed if before else 0.0)
+            follows = measured and self.place is not None
+            if pulse is None and zero_pulse is not None and follows:
+                pulse = reference.pulse(track, zero_pulse, self.clock, elapsed)
+            bits, jump = reference.apply(sample, track, bits, pulse, elapsed if follows else 0.0)
         if self.second is not None:
             bits, jump = self.second.apply(track, bits, jump, elapsed, measured, no_coarse, newest)
         self.place = track if measured and jump == 0 else None

@@ -63,8 +63,8 @@ class Answers:
     def place(self, delay_s: float, syncs: Syncs, answered: int = -1) -> int | None:
         """Places after the last SYNC that it answers: 0 that one, -1 the one before; None: it fits none.
 
-        ``delay_s`` after the last SYNC; the place that is ``answered`` needs no other. SYNCs jitter: one that
-        came before the last counts by its receive time, where that is known.
+        ``delay_s`` after the last SYNC; the place that is ``answered`` needs no other. An earlier SYNC
+        counts by its receive time, where that is known.
         """
         period_s = syncs.grid.period
         if self._longest_s and not period_s:  # how many periods a delay is cannot be said yet

@@ -269,8 +269,9 @@ PDO_LATE = slots(one_of(1, 2, 5), step=3, pdo_late_us=periods_us(0.85, 1.4))
 UNHEARD_BY_MODULE, UNHEARD_BY_INTERFACE = slots(SOME, to_module=False), slots(SOME, to_interface=False)
 SYNC_DOUBLED = doubled(47.0, lambda _: 120.0)
 FALSE_PULSE = slots(1, false_pulse=lambda plan: float(plan.rng.uniform()))
-# Synchronous PDOs with the position of their SYNC (2013h), which does not jitter here.
+# Synchronous PDOs with the position of their SYNC (2013h), and a SYNC that does not jitter.
 PREDICTED = options(rpdo_type=one_of(1, 255), tpdo_type=1, predict=one_of(1, 2))
+STEADY = wire(jitter_us=0.0, busy=0.0, tolerance=1.3)
 
 
 def lost(count: int | Callable[[Plan], int]) -> Change:
@@ -282,7 +283,8 @@ def deaf(count: Callable[[Plan], int]) -> Change:
     return slots(count, to_module=False, pdo_lost=True)
 
 
-any_loss = any_of(UNHEARD_BY_MODULE, UNHEARD_BY_INTERFACE, lost(between(1, 3)), deaf(between(1, 7)), PDO_LATE)
+losses = (UNHEARD_BY_MODULE, UNHEARD_BY_INTERFACE, lost(between(1, 3)), deaf(between(1, 7)))
+any_loss = any_of(*losses, PDO_LATE)
 
 
 class WireClass:
@@ -360,7 +362,7 @@ CLASSES = {
     "PDOs behind later SYNCs": WireClass(clocks.answers_behind_later_syncs, of="stamps", survives=True),
     "PDOs behind later SYNCs, some lost": WireClass(
         clocks.answers_behind_later_syncs,
-        any_of(UNHEARD_BY_MODULE, UNHEARD_BY_INTERFACE, lost(between(1, 3)), deaf(between(1, 7))),
+        any_of(*losses),
         of="stamps",
     ),
     "PDO late": WireClass(PDO_LATE),
@@ -404,13 +406,9 @@ CLASSES = {
     "RPDO 1, TPDO 254": WireClass(options(rpdo_type=1, tpdo_type=254), any_loss),
     "RPDO 255, TPDO 1": WireClass(options(rpdo_type=255, tpdo_type=1), any_loss),
     "RPDO 1, TPDO 1": WireClass(options(rpdo_type=1, tpdo_type=1), any_loss),
-    "TPDO 1, predict": WireClass(PREDICTED, wire(jitter_us=0.0, busy=0.0, tolerance=1.3), any_loss),
+    "TPDO 1, predict": WireClass(PREDICTED, STEADY, any_loss),
     "predict, SYNC stops or slows": WireClass(
-        PREDICTED,
-        wire(jitter_us=0.0, busy=0.0, tolerance=1.3),
-        any_of(period_changes, pause),
-        torque=0.0,
-        after=150,
+        PREDICTED, STEADY, any_of(period_changes, pause), torque=0.0, after=150
     ),
     "predict, another rate": WireClass(
         clocks.producer_changes_rate, PREDICTED, wire(tolerance=1.3), torque=0.0, of="times stamps !servo"

@@ -153,14 +153,13 @@ class Reference:
 
     # Zero pulses.
 
-    def pulse(
-        self, before: Track | Feedback, after: Track | Feedback, place: float, time: float, elapsed: float
-    ) -> Pulse:
+    def pulse(self, after: Track | Feedback, place: float, time: float, elapsed: float) -> Pulse:
         """:func:`pulse_between` the last two samples, with the acceleration by the last three.
 
         Of a machine that creeps, samples further back show the direction.
         """
-        places = self.estimator.places
+        # The first is as the estimator has it: the speed up to here may be known only now.
+        places, before = self.estimator.places, self.estimator.tracker.places[0]
         pulse = pulse_between(before, after, place, time, elapsed, speeds.acceleration(places))
         if pulse.direction or self.estimator.lost:
             return pulse
