@@ -281,7 +281,7 @@ class NodeModel(RuleBasedStateMachine):
         assert value(0x1F80) in (0, 4)
         assert not value(0x1012) & BIT_30
         assert value(0x1800, 6) <= 240
-        assert value(0x1800, 2) not in (0xFC, 0xFD) or not value(0x1800, 1) & BIT_30
+        assert value(0x1800, 2) not in (0xFC, 0xFD) or value(0x1800, 1) & (BIT_31 | BIT_30) != BIT_30
         watched = [value(0x1016, sub) for sub in range(1, 5)]
         nodes = [one >> 16 for one in watched if one & 0xFFFF and 1 <= one >> 16 <= 127]
         assert len(nodes) == len(set(nodes))

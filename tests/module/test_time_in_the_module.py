@@ -170,6 +170,8 @@ LOST_FRAMES = {
 
 def play(machine: Machine, heard: list[str], first: int) -> None:
     for k, what in enumerate(heard, first):
+        if what.isdecimal():  # the transmission type of RPDO1
+            machine.sdo[0x1400][2].raw = int(what)
         if what not in ("sample", "none"):
             machine.sync_at(k)
         if what == "late":
@@ -194,12 +196,13 @@ def test_a_few_lost_or_doubled_frames_are_counted_and_the_position_goes_on(name:
 
 
 @given(
-    st.lists(st.sampled_from(["both", "sync", "sample", "none", "twice", "late"]), max_size=80),
+    st.lists(st.sampled_from(["both", "sync", "sample", "none", "twice", "late", "1", "255"]), max_size=80),
     st.booleans(),
     st.sampled_from([0.0, 0.3, 3.3]),
 )
 @example(["both", "both", "sync", "sync", "sample"], False, 0.3)
 @example(["none"] * 10, True, 0.3)
+@example(["1", *["both"] * 5, "255"], True, 3.3)  # a sample of type 1 comes a SYNC later
 def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool, speed: float) -> None:
     machine = Machine(stamped, ramped(speed))
     if not stamped:  # an answer after more than a period is beyond 2010:0E, and without its time not seen

@@ -299,13 +299,16 @@ class FeedbackModule(NodeDevice):
 
     def configuration_changed(self) -> None:
         """PDO parameters or the NMT state."""
-        self._input.configure()
+        other_input = self._input.configure()
         self._pairing.usual = NO_RPDO
         source, timed = self._source, self._pairing.timed
         per_sync = self._input.samples_per_sync if source is None else source.samples_per_sync
         self._sampling.configured(per_sync, timed or (source is not None and per_sync > 1))
         self._second.configure()
         self._publishing.configured()
+        if other_input and self._pairing.sampled:
+            self._sampling.pause(self.now)
+            self._sampling.resume(self.now)
 
 
 def _check(config: ModuleConfig, source: Source | None) -> None:

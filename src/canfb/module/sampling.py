@@ -34,17 +34,15 @@ class Sampling:
         publishing.events.unconfirmed = self._why_unconfirmed
 
     def _why_unconfirmed(self) -> str:
-        pairing = self._pairing
-        if pairing.unconfirmed:
-            return f"{CONFIRMING_SAMPLES} samples must confirm it after the pause"
-        if self._syncs.late_s:
-            late_ms = self._syncs.late_s * 1e3
-            return f"SYNC {late_ms:.3g} ms late, one may have been missed: the next SYNCs decide"
-        if self._chain.searches:
-            return "the sample times do not confirm yet that the machine stood at the start"
-        if self._chain.reference.in_doubt:
-            return "a zero pulse contradicts it"
-        return "the sample time is not where it was due" if pairing.timed else ""
+        pairing, chain, late_ms = self._pairing, self._chain, self._syncs.late_s * 1e3
+        reasons = (
+            (pairing.unconfirmed, f"{CONFIRMING_SAMPLES} samples must confirm it after the pause"),
+            (late_ms, f"SYNC {late_ms:.3g} ms late, one may have been missed: the next SYNCs decide"),
+            (chain.searches, "the sample times do not confirm yet that the machine stood at the start"),
+            (chain.reference.in_doubt, "a zero pulse contradicts it"),
+            (pairing.timed, "the sample time is not where it was due"),
+        )
+        return next((text for holds, text in reasons if holds), "")
 
     def overdue(self, now: float) -> None:
         if not self._pairing.overdue(now):
@@ -59,11 +57,11 @@ class Sampling:
             self._pairing.begin()
 
     def pause(self, now: float) -> None:
-        """OPERATIONAL ends: nobody counts, and what can be read by SDO is not valid any more."""
+        """OPERATIONAL ends, or samples come in another way: what SDO reads is not valid."""
         self._publishing.withhold()
         syncs = self._syncs
         self._paused_s = syncs.synced_s if syncs.begun else now
-        syncs.pause()
+        self._pairing.begin()
 
     def resume(self, now: float) -> None:
         """OPERATIONAL, for the first time or again: nothing was counted meanwhile."""

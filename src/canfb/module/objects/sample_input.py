@@ -30,7 +30,7 @@ PLACES = 65536.0  # 2000:07 counts the interval of SYNC in 1/65536
 
 
 class SampleInput:
-    """Waits for all RPDOs that bring a part of 2000h, then gives the sample.
+    """Waits for all RPDOs with a part of 2000h.
 
     Both tracks of a pair must come in one RPDO. Earlier pairs are used up to the first that no RPDO brings.
 
@@ -54,9 +54,11 @@ class SampleInput:
         self.all_earlier = [(entry(*sine), entry(*cosine)) for sine, cosine in od.SAMPLE_EARLIER]
         self.on_mixed: Callable[[], None] = lambda: None
         self.pulses = 0
+        self._origin: object = None  # of the samples
         self.configure()
 
-    def configure(self) -> None:
+    def configure(self) -> bool:
+        """True if samples are now paired otherwise."""
         with_ = self._node.rpdo_with
         tracks = with_(od.SAMPLE_SINE, od.SAMPLE_COSINE)
         coarse = with_(od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE)
@@ -81,6 +83,8 @@ class SampleInput:
         self._early = self._earliest = 0  # bit n: RPDO n came before that one; the first of them
         self._others_first = 0  # intervals in a row in which the missing parts came before the others
         self._is_mixed = False  # a part came twice
+        before, self._origin = self._origin, (tracks, self.is_synchronous, self.timed, len(earlier))
+        return before != self._origin
 
     @property
     def samples_per_sync(self) -> int:
