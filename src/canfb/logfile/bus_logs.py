@@ -29,7 +29,7 @@ from can.io.generic import MessageWriter
 from canfb.bus.frame_bus import ERROR, Reception, brings_own_frames_back, flagged_id
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.errors import CanfbError, ConfigError, reason
-from canfb.files import check_writable, replacing
+from canfb.files import check_writable, replacing, writing
 from canfb.logfile.log_files import (
     NEEDS_PACKAGE,
     READABLE,
@@ -358,7 +358,6 @@ class BusLog:
         self._max_bytes = max_bytes
         self._clock, self._sleep = clock, sleep
         self._stopped = False
-        self._writer: MessageWriter | None = None
         suffix = check_suffix(path, WRITABLE)
         if max_bytes and "".join(path.suffixes[-1:]).lower() not in ROTATED:
             raise ConfigError(f"--max-size: python-can divides {', '.join(sorted(ROTATED))}, not {suffix}")
@@ -370,23 +369,15 @@ class BusLog:
         options: dict[str, Any] = {"max_bytes": self._max_bytes} if self._max_bytes else {}
         writer: Callable[..., MessageWriter] = can.SizedRotatingLogger if self._max_bytes else can.Logger
         try:
-            self._writer = writer(str(self.place), **options)
+            with writing(self.path):
+                self._writer = writer(str(self.place), **options)
         except (NotImplementedError, ImportError) as error:
             raise CanfbError(f"{self.path}: {NEEDS_PACKAGE}") from error
-        except (OSError, ValueError) as error:
-            raise self._failed(error) from error
         return self
 
-    def __exit__(self, kind: object, *raised: object) -> None:
-        assert self._writer is not None
-        try:
+    def __exit__(self, *raised: object) -> None:
+        with writing(self.path):
             self._writer.stop()
-        except OSError as error:
-            if kind is None:
-                raise self._failed(error) from error
-
-    def _failed(self, error: Exception) -> CanfbError:
-        return CanfbError(f"{self.path}: cannot be written: {reason(error)}")
 
     def stop(self) -> None:
         self._stopped = True
@@ -409,11 +400,8 @@ class BusLog:
                 self.write(message)
 
     def write(self, message: can.Message) -> None:
-        assert self._writer is not None
-        try:
+        with writing(self.path):
             self._writer.on_message_received(message)
-        except OSError as error:
-            raise self._failed(error) from error
         self.frames += 1
         self.error_frames += message.is_error_frame
 
