@@ -17,11 +17,10 @@ from canfb.master.access import (
     as_real32,
     without_restart,
 )
-from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
 STORES = (od.STORE_MANUFACTURER_PARAMETERS, od.STORE_ALL_PARAMETERS)  # the narrower one first
-OLD_CONDITIONING = 5  # sub-indices of 2002h, before it had delays
 SAVE = b"save"
 SAVES_ON_COMMAND = 1
 SAVE_WITHIN_S = 10.0
@@ -50,11 +49,8 @@ def read_active(module: NodeAccess) -> Correction:
 
 
 def active_conditioning(module: NodeAccess) -> Conditioning:
-    """2020:07; 2002h of an older module."""
-    try:
-        data = module.read_bytes(*od.TABLE_ACTIVE_CONDITIONING)
-    except ObjectAbsentError:
-        return read_conditioning(module)
+    """2020:07."""
+    data = module.read_bytes(*od.TABLE_ACTIVE_CONDITIONING)
     try:
         return Conditioning(*struct.unpack(f"<{len(od.CONDITIONING)}f", data))
     except (struct.error, ValueError) as error:
@@ -64,12 +60,7 @@ def active_conditioning(module: NodeAccess) -> Conditioning:
 def read_conditioning(module: NodeAccess) -> Conditioning:
     """2002h and 2005h, not yet in force."""
     try:
-        values = [float(module.read(*place, "f")) for place in od.CONDITIONING[:OLD_CONDITIONING]]
-        with contextlib.suppress(ObjectAbsentError):
-            values += [float(module.read(*place, "f")) for place in od.CONDITIONING[OLD_CONDITIONING:]]
-        return Conditioning(*values)
-    except ObjectAbsentError:
-        return IDENTITY
+        return Conditioning(*(float(module.read(*place, "f")) for place in od.CONDITIONING))
     except ValueError as error:
         raise CommissioningError(f"{module.name}: conditioning (2002h) cannot be used: {error}") from None
 
@@ -186,26 +177,6 @@ ATTEMPTS = 2
 EITHER = "either what was saved before or the new values, whole"
 
 
-@contextlib.contextmanager
-def all_or_nothing(module: NodeAccess, guard: Guard, undo: Callable[[], str]) -> Iterator[None]:
-    """A failure, an interruption or a restart of the module in here ends with ``undo``, uninterrupted.
-
-    The error goes on with the words of ``undo``, or its CanfbError.
-    """
-    try:
-        with without_restart(module):
-            yield
-    except BaseException as error:
-        with guard.held():
-            try:
-                said, undone = undo(), True
-            except CanfbError as failure:
-                said, undone = str(failure), False
-        if isinstance(error, CanfbError) or not undone:
-            raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
-        raise
-
-
 def change(
     module: NodeAccess,
     guard: Guard,
@@ -234,13 +205,23 @@ def change(
             return f"{undone()}, and what is saved is {EITHER}: save it when that works again"
         return undone()
 
-    with all_or_nothing(module, guard, undo):
-        act()
-        if not keep:
-            return None
-        step("saving")
-        saving = True
-        return save(module, stores)
+    try:
+        with without_restart(module):
+            act()
+            if not keep:
+                return None
+            step("saving")
+            saving = True
+            return save(module, stores)
+    except BaseException as error:
+        with guard.held():
+            try:
+                said, undone = undo(), True
+            except CanfbError as failure:
+                said, undone = str(failure), False
+        if isinstance(error, CanfbError) or not undone:
+            raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
+        raise
 
 
 def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: bool = False) -> None:
