@@ -110,7 +110,6 @@ class Loss:
 class LostPosition:
     """The position of a module and its last loss.
 
-    keeps_cause             the module has 2012:10
     losses, missed, missed_syncs  2012:05, :01 and :0E
     sample_hz               now; 0.0: none
     coarse, zero_pulse, second   mapped in its RPDOs
@@ -119,7 +118,6 @@ class LostPosition:
     node_id: int
     status: int
     loss: Loss | None
-    keeps_cause: bool
     losses: int
     missed: int
     missed_syncs: int
@@ -199,7 +197,7 @@ class LostPosition:
         loss, losses = self.loss, f"{self.losses} {'loss' if self.losses == 1 else 'losses'}"
         if loss is None:
             unknown = f"not known: this module does not keep the cause; {losses} so far"
-            return ["none since the start" if self.keeps_cause else unknown]
+            return [unknown if self.losses else "none since the start"]
         faults = ", ".join(od.fault_words(loss.faults))
         compared = (
             "nothing to compare" if loss.residual_cycles >= 0.5 else f"{loss.residual_cycles:.3g} cycle"
@@ -322,7 +320,7 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
     status = module.integer(*od.FEEDBACK_STATUS, "H")
     mapped = mapped_objects(module.read_known)
     tolerance = module.read_known(od.SECOND_TOLERANCE) or 0.0
-    loss, keeps_cause = _read_loss(module)
+    loss = _read_loss(module)
     settings = {
         "losses": int(module.read_known(od.COUNTER_LOST) or 0),
         "missed": int(module.read_known(od.COUNTER_MISSED) or 0),
@@ -337,7 +335,6 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
         module.node_id,
         status,
         loss,
-        keeps_cause,
         sample_hz=sample_hz,
         coarse=od.SAMPLE_COARSE_SINE.mapped(16) in mapped and od.SAMPLE_COARSE_COSINE.mapped(16) in mapped,
         zero_pulse=od.SAMPLE_FLAGS.mapped(8) in mapped,
@@ -347,11 +344,10 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
     )
 
 
-def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
-    number = module.read_known(od.COUNTER_LOSS_CAUSE)
-    cause = od.loss_cause(number)
+def _read_loss(module: NodeAccess) -> Loss | None:
+    cause = od.loss_cause(module.read_known(od.COUNTER_LOSS_CAUSE))
     if cause is None:
-        return None, number == 0
+        return None
     since_ms, bad, residual, limit, speed, faults = (
         module.integer(*place, "I")
         for place in (
@@ -364,4 +360,4 @@ def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
         )
     )
     residual_cycles, limit_cycles, speed_cycles = (one / LIMIT_UNITS for one in (residual, limit, speed))
-    return Loss(cause, since_ms / 1e3, bad, residual_cycles, limit_cycles, speed_cycles, faults), True
+    return Loss(cause, since_ms / 1e3, bad, residual_cycles, limit_cycles, speed_cycles, faults)
