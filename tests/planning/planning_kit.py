@@ -8,12 +8,10 @@ from typing import Any
 from canfb.configuration import Config
 from canfb.hosting.hosting import saved_configuration
 from canfb.module.device_configuration import DeviceConfiguration
-from canfb.planning import plan_rows
 from canfb.planning.plan import Plan
 from canfb.planning.plan_input import PlanOptions, modules_alike, plan_of
 
 RATE_HZ = 1000.0
-plan_rows.fault_coverage = functools.cache(plan_rows.fault_coverage)  # most plans have the same windows
 
 
 def planned(modules: Any = 1, adc_bits: Any = 12, **stated: Any) -> Plan:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -121,6 +122,7 @@ def _disc(radius: float, half_side: float) -> float:
     return radius * radius * (math.pi - 4.0 * inside) + 4.0 * half_side * radius * math.sin(inside)
 
 
+@cache  # alike modules have one window
 def fault_coverage(window: SampleWindow) -> list[FaultCoverage]:
     """Each kind of fault, at all phases and speeds; the result depends on ``window`` alone."""
     return [_covered(window, name, draw) for name, draw in KINDS.items()]

@@ -49,11 +49,13 @@ def plan_figures(plan: Plan, changes: list[PlanChange]) -> dict[str, Any]:
 
 
 def plan_lines(plan: Plan, changes: list[PlanChange], *, coverage: bool = False) -> list[str]:
-    bus = plan.bus
-    lines = [*_frame_lines(bus), *_as_lines(_bus_rows(bus)), ""]
-    for names, budget in _alike(plan):
+    alike: dict[tuple[str, ...], list[str]] = {}  # modules that differ by their node-ID alone share lines
+    for budget in plan.budgets:
         rows = _module_rows(budget) + (coverage_rows(budget) if coverage else [])
-        lines += [*_heading(names, budget), *_as_lines(rows), ""]
+        alike.setdefault((*_heading(budget), *_as_lines(rows)), []).append(f"{budget.module.node_id:02X}h")
+    lines = [*_frame_lines(plan.bus), *_as_lines(_bus_rows(plan.bus)), ""]
+    for (heading, *rest), nodes in alike.items():
+        lines += [f"node{'s' * (len(nodes) > 1)} {', '.join(nodes)}: {heading}", *rest, ""]
     return [*lines, *_verdict(plan, changes)]
 
 
@@ -145,27 +147,14 @@ def _bus_rows(bus: BusLoad) -> list[Row]:
 # A module.
 
 
-def _alike(plan: Plan) -> list[tuple[str, ResidualBudget]]:
-    """Modules that differ by their node-ID alone share their lines."""
-    found: dict[tuple[object, ...], tuple[list[str], ResidualBudget]] = {}
-    for budget in plan.budgets:
-        module = budget.module
-        low_high, frozen = module.amplitude_limits_counts, module.frozen_samples
-        key = (module.cycles_per_revolution, module.times, module.has_table, module.samples_itself, low_high,
-               frozen, module.samples_per_sync, budget.limit_cycles,
-               budget.needed_cycles, module.full_scale_counts)  # fmt: skip
-        found.setdefault(key, ([], budget))[0].append(f"{module.node_id:02X}h")
-    return [(", ".join(names), budget) for names, budget in found.values()]
-
-
-def _heading(names: str, budget: ResidualBudget) -> list[str]:
+def _heading(budget: ResidualBudget) -> list[str]:
     module, where = budget.module, budget.plan.where
     several = f"{module.samples_per_sync} samples per SYNC, " if module.samples_per_sync > 1 else ""
     by = "2010:02 and 2010:09" if budget.has_noise_margin else "2010:02"
     narrowed = f", narrowed by {by}" if budget.is_narrowed else ""
     return [
-        f"node{'s' if ',' in names else ''} {names}: {module.cycles_per_revolution} cycles per revolution, "
-        f"{several}residual limit {budget.limit_cycles:.3f} cycle{narrowed}",
+        f"{module.cycles_per_revolution} cycles per revolution, {several}residual limit "
+        f"{budget.limit_cycles:.3f} cycle{narrowed}",
         *([f"  {where}"] if where else []),
     ]
 
