@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from enum import IntFlag
+from statistics import median
 
 from canfb.device.od.dictionary import Dictionary
 
@@ -162,31 +164,21 @@ class FeedbackInput:
         return 2.0 * largest_speed * interval_s * self.increments_per_revolution
 
 
-SMOOTHING = 1.0 / 32.0
-SAME_RATE = 1.5  # a time longer or shorter by more than this factor is an exception, or a new rate
-EXCEPTIONS = 8  # this many in a row are a new rate
+RECENT = 15  # SYNCs: more than half of them are a new rate
 
 
 class SyncInterval:
-    """The mean time between two SYNCs without pauses and late ones; 0.0 before the second one."""
+    """The time between two SYNCs, without pauses and late ones; 0.0 before the second one."""
 
     def __init__(self) -> None:
-        self.seconds = 0.0
         self.last_s: float | None = None
-        self._exceptions: list[float] = []
+        self._apart: deque[float] = deque(maxlen=RECENT)
+
+    @property
+    def seconds(self) -> float:
+        return median(self._apart) if self._apart else 0.0
 
     def event(self, now: float) -> None:
         last, self.last_s = self.last_s, now
-        if last is None or now <= last:
-            return
-        interval = now - last
-        if self.seconds == 0.0:
-            self.seconds = interval
-        elif self.seconds / SAME_RATE < interval < SAME_RATE * self.seconds:
-            self.seconds += (interval - self.seconds) * SMOOTHING
-            self._exceptions.clear()
-        else:
-            self._exceptions.append(interval)
-            if len(self._exceptions) == EXCEPTIONS:
-                self.seconds = sum(self._exceptions) / EXCEPTIONS
-                self._exceptions.clear()
+        if last is not None and now > last:
+            self._apart.append(now - last)
