@@ -216,10 +216,10 @@ def change(
     except BaseException as error:
         with guard.held():
             try:
-                said, undone = undo(), True
+                said, is_back = undo(), True
             except CanfbError as failure:
-                said, undone = str(failure), False
-        if isinstance(error, CanfbError) or not undone:
+                said, is_back = str(failure), False
+        if isinstance(error, CanfbError) or not is_back:
             raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
         raise
 
