@@ -4,7 +4,7 @@ whole or not at all."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -338,20 +338,10 @@ class TableTasks:
             self._check_amplitude(before.conditioning, new.conditioning, force)
             done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
         else:
-            self._staged(new, table)
-            done = {"staged": True, "active": False, "saved_as": None}
+            done = self._staged(new, table)
         stays = "" if file.with_conditioning else "; it knows no conditioning, that of the module stays"
-        state = self._state_after(new, done)
-        lines = [
-            f"{file.path}: {table.crc32:08X}h, {len(table)} entries{stays}",
-            self._moves(state, before, new),
-            *self._other_settings(file),
-            self._outcome(new, done)
-            if active
-            else f"staged in {self._module.name}, not in force yet: "
-            f"canfb table activate {self._module.node_id:#04x}",
-        ]
-        return _result(state, lines, done)
+        head = f"{file.path}: {table.crc32:08X}h, {len(table)} entries{stays}"
+        return self._result(done, before, new, [head], self._other_settings(file))
 
     def activate(self, *, keep: bool, force: bool = False) -> Result:
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
@@ -362,19 +352,17 @@ class TableTasks:
         before = read_active(self._module)
         self._check_amplitude(before.conditioning, read_conditioning(self._module), force)
         done = self._in_force(before, None, keep, lambda: activate(self._module, staged))
-        now = self._state_after(None, done)
-        return _result(now, [self._moves(now, before, now.used), self._outcome(now.used, done)], done)
+        return self._result(done, before, None)
 
     def clear(self, *, conditioning: bool, keep: bool) -> Result:
         """Back to the identity, the ``conditioning`` too."""
         before = read_active(self._module)
         new = Correction(None, IDENTITY if conditioning else before.conditioning)
         done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
-        state = self._state_after(new, done)
-        lines = [self._moves(state, before, new), self._outcome(new, done)]
+        result = self._result(done, before, new)
         if not new.conditioning.is_identity:
-            lines.append("the conditioning (2002h) stays in force; --conditioning clears it as well")
-        return _result(state, lines, done)
+            result.lines.append("the conditioning (2002h) stays in force; --conditioning clears it as well")
+        return result
 
     def download(self, path: Path, date: str) -> Result:
         state = TableState.of_module(self._module)
@@ -395,7 +383,7 @@ class TableTasks:
             lines.append(
                 f"note: {path} has the table alone; a name with .yaml keeps the conditioning as well"
             )
-        return _result(state, lines, {"file": str(path)})
+        return Result(as_figures(state.rows()) | {"file": str(path)}, lines)
 
     def _other_settings(self, file: TableFile) -> list[str]:
         """2001h where it differs from that of the measurement: set up by hand, no part of a table."""
@@ -426,7 +414,7 @@ class TableTasks:
                 "--force activates it"
             )
 
-    def _staged(self, new: Correction, table: CorrectionTable) -> None:
+    def _staged(self, new: Correction, table: CorrectionTable) -> dict[str, Any]:
         waiting = read_conditioning(self._module)
 
         def act() -> None:
@@ -441,6 +429,7 @@ class TableTasks:
             what=AS_IT_WAS,
             undone=self._as_before,
         )
+        return {"staged": True, "active": False, "saved_as": None}
 
     def _as_before(self) -> str:
         return f"the table and the conditioning from before are in force in {self._module.name}"
@@ -469,28 +458,31 @@ class TableTasks:
         )
         return {"staged": False, "active": True, "saved_as": saved_as}
 
-    def _state_after(self, used: Correction | None, done: dict[str, Any]) -> TableState:
+    def _result(
+        self,
+        done: dict[str, Any],
+        before: Correction,
+        new: Correction | None,
+        head: Sequence[str] = (),
+        notes: Sequence[str] = (),
+    ) -> Result:
+        """What the module has then, and by how much positions move; ``new`` None: what was staged."""
+        saved = f"saved ({done['saved_as']})" if done["saved_as"] else ""
         try:
-            return TableState.of_module(self._module)
+            state = TableState.of_module(self._module)
         except CanfbError as error:
-            table = "table" if used is None or used.table is None else f"table {used.crc32:08X}h"
+            table = "table" if new is None or new.table is None else f"table {new.crc32:08X}h"
             where = "in force" if done["active"] else "staged"
-            saved = f", saved ({done['saved_as']})" if done["saved_as"] else ""
             raise CommissioningError(
-                f"done: {table} {where} in {self._module.name}{saved}; but then {error}"
+                f"done: {table} {where} in {self._module.name}{', ' * bool(saved)}{saved}; but then {error}"
             ) from error
-
-    def _moves(self, state: TableState, before: Correction, after: Correction) -> str:
-        _, apart = difference(before.table, after.table)
-        words = f"positions move by at most {state.cycles_in_words(apart)}"
-        same = before.conditioning == after.conditioning
-        return words if same else f"{words}, and with the conditioning, which changes too"
-
-    def _outcome(self, used: Correction, done: dict[str, Any]) -> str:
-        what = "no table" if used.table is None else f"table {used.crc32:08X}h"
-        saved = f"saved ({done['saved_as']})" if done["saved_as"] else "not saved: --save keeps it"
-        return f"{what} in force in {self._module.name}; {saved}"
-
-
-def _result(state: TableState, lines: list[str], done: dict[str, Any]) -> Result:
-    return Result(as_figures(state.rows()) | done, lines)
+        used, module = new or state.used, self._module
+        _, apart = difference(before.table, used.table)
+        moves = f"positions move by at most {state.cycles_in_words(apart)}"
+        if before.conditioning != used.conditioning:
+            moves += ", and with the conditioning, which changes too"
+        table = "no table" if used.table is None else f"table {used.crc32:08X}h"
+        outcome = f"{table} in force in {module.name}; {saved or 'not saved: --save keeps it'}"
+        if not done["active"]:
+            outcome = f"staged in {module.name}, not in force yet: canfb table activate {module.node_id:#04x}"
+        return Result(as_figures(state.rows()) | done, [*head, moves, *notes, outcome])
