@@ -306,7 +306,7 @@ class FeedbackModule(NodeDevice):
         self._sampling.configured(per_sync, timed or (source is not None and per_sync > 1))
         self._second.configure()
         self._publishing.configured()
-        if other_input and self._pairing.sampled:
+        if other_input and self._pairing.sampled and self.state is NmtState.OPERATIONAL:
             self._sampling.pause(self.now)
             self._sampling.resume(self.now)
 
