@@ -259,8 +259,7 @@ class Node:
         return self._sent()
 
     def _at(self, now: float | None) -> float:
-        if now is not None:
-            self.call.now = now
+        self.call.now = self.call.now if now is None else now
         return self.call.now
 
     def _sent(self) -> list[Frame]:

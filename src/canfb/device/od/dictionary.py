@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from copy import copy
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -91,7 +90,9 @@ class Entry:
         return f"<Entry {self.index:04X}h:{self.subindex:02X} {self.name!r} = {self.value!r}>"
 
     def fresh(self) -> Entry:
-        other = copy(self)
+        other = object.__new__(Entry)
+        for name in Entry.__slots__:  # copy.copy takes four times as long, and a module has 420 of them
+            setattr(other, name, getattr(self, name))
         other.reset()
         return other
 
