@@ -91,7 +91,7 @@ def test_positions_of_a_fired_adc_are_right_until_it_is_lost_and_found_again(
     status = VALID
     while status & VALID:  # it coasts for three samples
         producer.send()
-        status = struct.unpack_from("<H", running.heard(0x1A0), 4)[0]
+        status = (running.hear(0x1A0, 0.5) or bytes([0, 0, 0, 0, VALID]))[4]
     again = iiod(EmulatedAdc(), server.port)
     turning(again)
     assert again.opened.wait(LIMIT_S)
