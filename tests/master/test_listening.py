@@ -21,7 +21,7 @@ from canfb.cli.printing import Progress
 from canfb.configuration import Config
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import Guard
-from canfb.master.samples import Listener, TrackSamples, listen, read_npz, write_npz
+from canfb.master.samples import PdoRecorder, TrackSamples, listen, read_npz, write_npz
 from canfb.master.session import agreed_layout
 from canfb.simulation.embedded_bus import SyncTiming
 from canfb.view.module_view import PdoLayout, coarse_layout
@@ -35,9 +35,9 @@ def pdo(sine: int, cosine: int) -> bytes:
     return struct.pack("<hh", sine, cosine)
 
 
-def heard(*events: bytes | None) -> Listener:
+def heard(*events: bytes | None) -> PdoRecorder:
     """SYNCs (None) and PDOs, a millisecond apart from SYNC to SYNC."""
-    recorder = Listener(LAYOUT, lambda: 0.0)
+    recorder = PdoRecorder(LAYOUT)
     time_s = 100.0
     for event in events:
         if event is None:
@@ -50,7 +50,7 @@ def heard(*events: bytes | None) -> Listener:
 
 def test_one_sample_for_each_sync() -> None:
     recorder = heard(pdo(9, 9), None, pdo(1, 2), None, pdo(3, -4), None, None, pdo(5, 6), pdo(7, 8), None)
-    samples = recorder.samples()
+    samples = recorder.result("here")
     assert samples.sine.tolist()[:2] == [1.0, 3.0]
     assert math.isnan(samples.sine[2]), "a SYNC without a PDO is a missed sample"
     assert samples.cosine.tolist()[3] == 6.0, "the first PDO after a SYNC counts"
@@ -59,29 +59,31 @@ def test_one_sample_for_each_sync() -> None:
 
 
 def test_the_lowest_pair_and_a_short_pdo_are_missed_samples() -> None:
-    samples = heard(None, pdo(-32768, -32768), None, b"\x01\x02\x03", None, pdo(-32768, 5), None).samples()
+    samples = heard(None, pdo(-32768, -32768), None, b"\x01\x02\x03", None, pdo(-32768, 5), None).result(
+        "here"
+    )
     assert np.isnan(samples.sine).tolist() == [True, True, False]
     assert samples.sine[2] == -32768.0
 
 
 @given(st.lists(st.one_of(st.none(), st.binary(max_size=8)), max_size=40))
 def test_whatever_comes_gives_one_entry_for_each_whole_interval(events: list[bytes | None]) -> None:
-    samples = heard(*events).samples()
+    samples = heard(*events).result("here")
     assert len(samples) == max(0, events.count(None) - 1)
 
 
 def test_late_time_stamps_and_a_pause_do_not_bend_the_rate() -> None:
-    recorder = Listener(LAYOUT, lambda: 0.0)
+    recorder = PdoRecorder(LAYOUT)
     rng = np.random.default_rng(1)
     times = np.arange(1000) * 0.002 + rng.uniform(0.0, 0.0004, 1000)
     times[500:] += 30.0
     for time_s in times.tolist():
         recorder.on_sync(0x80, b"", time_s)
-    assert recorder.samples().rate_hz == pytest.approx(500.0, rel=0.002)
+    assert recorder.result("here").rate_hz == pytest.approx(500.0, rel=0.002)
 
 
 def test_pauses_of_the_sync_are_in_the_mean_rate_and_in_what_was_skipped() -> None:
-    recorder = Listener(LAYOUT, lambda: 0.0)
+    recorder = PdoRecorder(LAYOUT)
     rng = np.random.default_rng(1)
     # Stalls of 20 intervals after every 100 SYNCs, and the late SYNC close before the next one.
     place = np.concatenate([120.0 * stall + np.arange(100.0) for stall in range(20)])
@@ -89,12 +91,12 @@ def test_pauses_of_the_sync_are_in_the_mean_rate_and_in_what_was_skipped() -> No
     times = place * 0.001 + rng.uniform(0.0, 0.0001, len(place))
     for time_s in times.tolist():
         recorder.on_sync(0x80, b"", time_s)
-    samples = recorder.samples()
+    samples = recorder.result("here")
     assert samples.rate_hz == pytest.approx(1000.0, rel=0.01)
     assert samples.mean_rate_hz == pytest.approx(1000.0 * 100 / 120, rel=0.01)
     assert samples.duration_s == pytest.approx(2.38, rel=0.01)
     assert samples.skipped == pytest.approx(19 * 20, rel=0.05)
-    assert heard(*[None] * 500).samples().skipped == 0
+    assert heard(*[None] * 500).result("here").skipped == 0
 
 
 def test_listening_takes_what_was_asked_for_and_says_nothing_on_the_bus() -> None:
@@ -226,7 +228,7 @@ def test_the_times_of_the_interface_are_heard_and_unwrapped() -> None:
 def test_a_missed_sample_has_a_time_between_its_neighbours(
     start: int, steps: list[int], lost: set[int]
 ) -> None:
-    recorder, at = Listener(TIMED, lambda: 0.0), [start]
+    recorder, at = PdoRecorder(TIMED), [start]
     for step in steps:
         at.append(at[-1] + step)
     for n, ticks in enumerate(at):
@@ -234,7 +236,7 @@ def test_a_missed_sample_has_a_time_between_its_neighbours(
         if n not in lost:
             recorder.on_pdo(0x190, timed_pdo(ticks), ticks * 1e-7)
     recorder.on_sync(0x80, b"", (at[-1] + 10_000) * 1e-7)
-    samples = recorder.samples()
+    samples = recorder.result("here")
     came = [n for n in range(len(at)) if n not in lost]
     if len(came) < 2:
         assert samples.time_s is None
@@ -276,7 +278,7 @@ def test_calibrating_on_a_bus_that_jitters(capsys: pytest.CaptureFixture[str]) -
 @pytest.mark.parametrize("same_pdo", [True, False])
 def test_it_is_heard_with_its_sample(same_pdo: bool) -> None:
     coarse = PdoLayout(0x190, 4, 6) if same_pdo else PdoLayout(0x290)
-    recorder = Listener(PdoLayout(0x190, coarse=coarse), lambda: 0.0)
+    recorder = PdoRecorder(PdoLayout(0x190, coarse=coarse))
     for k in range(5):
         recorder.on_sync(0x80, b"", 0.001 * k)
         if k == 2:
@@ -288,7 +290,7 @@ def test_it_is_heard_with_its_sample(same_pdo: bool) -> None:
         else:
             recorder.on_pdo(0x190, tracks, 0.0)
             recorder.on_pdo(0x290, struct.pack("<hh", k, -k), 0.0)
-    samples = recorder.samples()
+    samples = recorder.result("a test")
     assert samples.coarse is not None
     assert np.array_equal(samples.coarse[0], [0.0, 1.0, np.nan, 3.0], equal_nan=True)
     assert np.array_equal(samples.coarse[1], [0.0, -1.0, np.nan, -3.0], equal_nan=True)

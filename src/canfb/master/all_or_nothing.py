@@ -17,10 +17,11 @@ from canfb.master.access import (
     as_real32,
     without_restart,
 )
-from canfb.signal.conditioning import Conditioning
+from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
 STORES = (od.STORE_MANUFACTURER_PARAMETERS, od.STORE_ALL_PARAMETERS)  # the narrower one first
+OLD_CONDITIONING = 5  # sub-indices of 2002h, before it had delays
 SAVE = b"save"
 SAVES_ON_COMMAND = 1
 SAVE_WITHIN_S = 10.0
@@ -49,8 +50,11 @@ def read_active(module: NodeAccess) -> Correction:
 
 
 def active_conditioning(module: NodeAccess) -> Conditioning:
-    """2020:07."""
-    data = module.read_bytes(*od.TABLE_ACTIVE_CONDITIONING)
+    """2020:07; 2002h of an older module."""
+    try:
+        data = module.read_bytes(*od.TABLE_ACTIVE_CONDITIONING)
+    except ObjectAbsentError:
+        return read_conditioning(module)
     try:
         return Conditioning(*struct.unpack(f"<{len(od.CONDITIONING)}f", data))
     except (struct.error, ValueError) as error:
@@ -60,7 +64,12 @@ def active_conditioning(module: NodeAccess) -> Conditioning:
 def read_conditioning(module: NodeAccess) -> Conditioning:
     """2002h and 2005h, not yet in force."""
     try:
-        return Conditioning(*(float(module.read(*place, "f")) for place in od.CONDITIONING))
+        values = [float(module.read(*place, "f")) for place in od.CONDITIONING[:OLD_CONDITIONING]]
+        with contextlib.suppress(ObjectAbsentError):
+            values += [float(module.read(*place, "f")) for place in od.CONDITIONING[OLD_CONDITIONING:]]
+        return Conditioning(*values)
+    except ObjectAbsentError:
+        return IDENTITY
     except ValueError as error:
         raise CommissioningError(f"{module.name}: conditioning (2002h) cannot be used: {error}") from None
 
@@ -177,6 +186,26 @@ ATTEMPTS = 2
 EITHER = "either what was saved before or the new values, whole"
 
 
+@contextlib.contextmanager
+def all_or_nothing(module: NodeAccess, guard: Guard, undo: Callable[[], str]) -> Iterator[None]:
+    """A failure, an interruption or a restart of the module in here ends with ``undo``, uninterrupted.
+
+    The error goes on with the words of ``undo``, or its CanfbError.
+    """
+    try:
+        with without_restart(module):
+            yield
+    except BaseException as error:
+        with guard.held():
+            try:
+                said, undone = undo(), True
+            except CanfbError as failure:
+                said, undone = str(failure), False
+        if isinstance(error, CanfbError) or not undone:
+            raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
+        raise
+
+
 def change(
     module: NodeAccess,
     guard: Guard,
@@ -205,23 +234,13 @@ def change(
             return f"{undone()}, and what is saved is {EITHER}: save it when that works again"
         return undone()
 
-    try:
-        with without_restart(module):
-            act()
-            if not keep:
-                return None
-            step("saving")
-            saving = True
-            return save(module, stores)
-    except BaseException as error:
-        with guard.held():
-            try:
-                said, is_back = undo(), True
-            except CanfbError as failure:
-                said, is_back = str(failure), False
-        if isinstance(error, CanfbError) or not is_back:
-            raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
-        raise
+    with all_or_nothing(module, guard, undo):
+        act()
+        if not keep:
+            return None
+        step("saving")
+        saving = True
+        return save(module, stores)
 
 
 def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: bool = False) -> None:

@@ -191,15 +191,15 @@ MISSED = (od.MISSED_COUNTS, od.MISSED_COUNTS)
 NEWEST, COARSE, TIME = 0, -1, -2  # parts of a sample; 1, 2, .. are the earlier pairs
 
 
-class Listener:
+class PdoRecorder:
     """Gives each SYNC the first of each part of a sample that comes before the next one.
 
-    Called from the receiving thread; read :meth:`result` when that has ended. Call :meth:`look` now and then:
-    like :meth:`result` it raises CommissioningError where SYNCs or samples do not come.
+    Called from the receiving thread; read when that has ended.
     """
 
-    def __init__(self, layout: PdoLayout, now: Callable[[], float]) -> None:
-        self._layout, self._now = layout, now
+    def __init__(self, layout: PdoLayout) -> None:
+        self._per_sync, self._has_coarse = 1 + len(layout.earlier), layout.coarse is not None
+        self._sync_id = layout.sync_id
         self._times_s: list[float] = []  # of the SYNCs
         self._intervals: list[dict[int, Any]] = []  # the parts that came, from one SYNC to the next
         self._parts: defaultdict[int, list[tuple[int, Callable[[bytes], Any]]]] = defaultdict(list)
@@ -208,27 +208,17 @@ class Listener:
                 self._parts[place.can_id].append((part, place.unpack))
         timed = layout.timed_by or layout
         self._parts[timed.can_id].append((TIME, timed.sample_time))
-        self._came = False
-        self._began_s: float | None = None
-        self._last_sync_s = self._last_sample_s = now()
+        self.samples = 0
 
     @property
-    def intervals(self) -> int:
-        """From SYNC to SYNC: those of :meth:`result`."""
-        return max(len(self._times_s) - 1, 0)
-
-    @property
-    def elapsed_s(self) -> float:
-        return 0.0 if self._began_s is None else self._now() - self._began_s
+    def syncs(self) -> int:
+        return len(self._times_s)
 
     def callbacks(self) -> list[tuple[int, OnFrame]]:
         """For each CAN-ID; the SYNC is the last."""
-        return [*((can_id, self.on_pdo) for can_id in self._parts), (self._layout.sync_id, self.on_sync)]
+        return [*((can_id, self.on_pdo) for can_id in self._parts), (self._sync_id, self.on_sync)]
 
     def on_sync(self, can_id: int, data: bytes, time_s: float) -> None:
-        self._last_sync_s = self._now()
-        if self._began_s is None:
-            self._began_s = self._last_sample_s = self._last_sync_s
         self._times_s.append(time_s)
         self._intervals.append({})
 
@@ -237,42 +227,12 @@ class Listener:
             return
         now = self._intervals[-1]
         came = {part: read(data) for part, read in self._parts[can_id] if now.get(part) is None}
-        if came.get(NEWEST) is not None:
-            self._came, self._last_sample_s = True, self._now()
+        self.samples += came.get(NEWEST) is not None
         now |= came
 
-    def look(self) -> None:
-        now = self._now()
-        if now - self._last_sync_s > PATIENCE_S:
-            raise CommissioningError(
-                f"no SYNC ({self._layout.sync_id:03X}h) for {PATIENCE_S:g} s: start the node that produces "
-                "it, the drive or the controller, or let canfb produce it (--rate HZ)"
-            )
-        if self._began_s is not None and now - self._last_sample_s > PATIENCE_S:
-            raise self._no_samples()
-
-    def result(self) -> TrackSamples:
-        if not self._came:
-            raise self._no_samples()
-        samples = self.samples()
-        if samples.missed > PART_MISSED * len(samples):
-            raise CommissioningError(
-                f"{samples.missed} of {len(samples)} SYNCs were not followed by PDO "
-                f"{self._layout.can_id:03X}h: samples are lost, or the PDO is not sent at each SYNC "
-                "(transmission type 1 is needed)"
-            )
-        return samples
-
-    def _no_samples(self) -> CommissioningError:
-        return CommissioningError(
-            f"SYNC is received, but not PDO {self._layout.can_id:03X}h with the samples: is the encoder "
-            "interface OPERATIONAL (NMT start), and is its node-ID right?"
-        )
-
-    def samples(self) -> TrackSamples:
+    def result(self, origin: str) -> TrackSamples:
         """What came, in order, without the open interval."""
-        origin = f"PDO {self._layout.can_id:03X}h at each SYNC"
-        intervals, per_sync = self._intervals[:-1], 1 + len(self._layout.earlier)
+        intervals, per_sync = self._intervals[:-1], self._per_sync
         rate_hz = self._rate_hz()
         in_order = [one.get(part) or MISSED for one in intervals for part in reversed(range(per_sync))]
         pairs = np.array(in_order, np.float64).reshape(-1, 2)
@@ -281,7 +241,7 @@ class Listener:
             before_s = np.arange(per_sync - 1, -1, -1) / per_sync / (rate_hz or 1.0)
             at_s = np.array(self._times_s[:-1])
             samples = replace(samples, received_s=(at_s[:, None] - before_s).reshape(-1))
-        if self._layout.coarse is not None:
+        if self._has_coarse:
             tracks = np.full((len(pairs), 2), np.nan)
             tracks[per_sync - 1 :: per_sync] = [one.get(COARSE) or (np.nan, np.nan) for one in intervals]
             samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
@@ -298,10 +258,65 @@ class Listener:
         return 1.0 / float(near.mean()) if len(near) else None
 
 
+class Listener:
+    """Call :meth:`look` now and then."""
+
+    def __init__(self, master: Master, layout: PdoLayout) -> None:
+        self._master = master
+        self._layout = layout
+        self.recorder = PdoRecorder(layout)
+        self._syncs = self._samples = 0
+        self._began_s: float | None = None
+        self._last_sync_s = self._last_sample_s = master.now()
+
+    @property
+    def intervals(self) -> int:
+        """From SYNC to SYNC: those of :meth:`result`."""
+        return max(self.recorder.syncs - 1, 0)
+
+    @property
+    def elapsed_s(self) -> float:
+        return 0.0 if self._began_s is None else self._master.now() - self._began_s
+
+    def look(self) -> None:
+        now, recorder, layout = self._master.now(), self.recorder, self._layout
+        if recorder.syncs > self._syncs:
+            self._syncs, self._last_sync_s = recorder.syncs, now
+            if self._began_s is None:
+                self._began_s = self._last_sample_s = now
+        if recorder.samples > self._samples:
+            self._samples, self._last_sample_s = recorder.samples, now
+        if now - self._last_sync_s > PATIENCE_S:
+            raise CommissioningError(
+                f"no SYNC ({layout.sync_id:03X}h) for {PATIENCE_S:g} s: start the node that produces it, the "
+                "drive or the controller, or let canfb produce it (--rate HZ)"
+            )
+        if self._began_s is not None and now - self._last_sample_s > PATIENCE_S:
+            raise self._no_samples()
+
+    def result(self) -> TrackSamples:
+        can_id = self._layout.can_id
+        if not self.recorder.samples:
+            raise self._no_samples()
+        samples = self.recorder.result(f"PDO {can_id:03X}h at each SYNC")
+        if samples.missed > PART_MISSED * len(samples):
+            raise CommissioningError(
+                f"{samples.missed} of {len(samples)} SYNCs were not followed by PDO {can_id:03X}h: "
+                "samples are lost, or the PDO is not sent at each SYNC (transmission type 1 is needed)"
+            )
+        return samples
+
+    def _no_samples(self) -> CommissioningError:
+        return CommissioningError(
+            f"SYNC is received, but not PDO {self._layout.can_id:03X}h with the samples: is the encoder "
+            "interface OPERATIONAL (NMT start), and is its node-ID right?"
+        )
+
+
 @contextlib.contextmanager
 def listening(master: Master, layout: PdoLayout) -> Iterator[Listener]:
-    listener = Listener(layout, master.now)
-    with subscribed(master, listener.callbacks()):
+    listener = Listener(master, layout)
+    with subscribed(master, listener.recorder.callbacks()):
         yield listener
 
 

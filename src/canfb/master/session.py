@@ -51,7 +51,7 @@ LIMITS = (
     LimitObject(od.SUPERVISION_COARSE_LIMIT, "H", "coarse track limit", "1/65536 revolution"),
     LimitObject(od.SUPERVISION_PERIODS, "B", "periods without SYNC or sample", "periods"),
 )
-# Not a limit, but the limits of the amplitude hold for it.
+# Not a limit, but the limits of the amplitude hold for it; an older module does not have it.
 CORNER = LimitObject(od.ENCODER_CORNER_FREQUENCY, "f", "corner frequency", "Hz")
 JITTER = LimitObject(od.SUPERVISION_SYNC_JITTER, "f", "jitter of the SYNC", "s")
 KINDS = {one.place: one for one in (*LIMITS, CORNER, JITTER)}
@@ -76,12 +76,13 @@ class SupervisionLimits:
     @classmethod
     def read(cls, module: NodeAccess) -> SupervisionLimits:
         values = {}
-        for place, layout, name, _ in (*LIMITS, JITTER):
+        for place, layout, name, _ in LIMITS:
             values[place] = module.read(*place, layout)
             if not math.isfinite(values[place]):
                 raise CommissioningError(f"{module.name}: {od.place_text(place)}, {name}, is {values[place]}")
+        jitter_s = module.read_known(JITTER.place)  # an older module does not have it
         return cls(
-            values,
+            values if jitter_s is None else {**values, JITTER.place: jitter_s},
             module.integer(*od.ENCODER_FULL_SCALE, "H"),
             module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
             module.integer(*od.SUPERVISION_COAST, "B"),
