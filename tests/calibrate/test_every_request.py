@@ -195,8 +195,6 @@ def restore(bench: Bench) -> object:
         lambda: read_configuration(bench.access),
         lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),
         Guard(),
-        Path("backup.yaml"),
-        ObjectDescriptions(eds_path("canfb-module"), MODULE_ID),
         keep=True,
     )
 

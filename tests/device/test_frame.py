@@ -20,7 +20,9 @@ from canfb.device.core import STAMP_NOISE_S, CallContext
         ((0x800, b""), ValueError, "0 to 7FFh .*, not 800h"),
         ((-1, b""), ValueError, "can_id"),
         (("123", b""), TypeError, "can_id"),
+        ((True, b""), TypeError, "can_id"),
         ((0x123, "data"), TypeError, "data must be bytes, not str"),
+        ((0x123, 8), TypeError, "data must be bytes, not int"),
         ((0x123, [1, 2]), TypeError, "data must be bytes, not list"),
         ((0x123, b"", 1), TypeError, "rtr"),
         ((0x123, b"", False, "now"), TypeError, "timestamp"),
@@ -80,6 +82,6 @@ def test_a_clock_that_is_set_is_not_used_until_it_is_right(back_s: float, steps:
 
 def test_noise_of_stamps_does_not_turn_time_back() -> None:
     call = CallContext()
-    for stamp in (100.0, 100.0, 100.0 - 0.9 * STAMP_NOISE_S):
-        assert taken(call, stamp, 100.01)
-    assert call.received == 100.0
+    for part in (0.0, 0.0, 0.5, 1.0):
+        assert taken(call, 100.0 - part * 0.9 * STAMP_NOISE_S, 100.01)
+        assert call.received == 100.0

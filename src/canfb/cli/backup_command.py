@@ -38,6 +38,7 @@ from canfb.sdo.backups import (
     backup_text,
     read_backup,
     restore_backup,
+    restored_result,
 )
 from canfb.sdo.object_description import ObjectDescriptions
 
@@ -111,17 +112,17 @@ def restore(options: argparse.Namespace) -> int:
     node = options.module or kept.node_id
     with node_options.guarded() as guard, node_options.master_of(options) as master:
         module = NodeAccess(master, node, "module")
-        result = restore_backup(
+        done = restore_backup(
             module,
             kept,
             lambda: read_configuration(module),
             lambda before: restored_configuration(kept.values, before, kept.table, kept.node_id, node),
             guard,
-            path,
-            ObjectDescriptions(eds_path(EDS), node),
             keep=options.save,
             force=options.force,
             preop=options.preop,
             dry_run=options.dry_run,
         )
-    return node_options.say_result(options, result)
+    return node_options.say_result(
+        options, restored_result(path, kept, done, ObjectDescriptions(eds_path(EDS), node))
+    )

@@ -259,7 +259,8 @@ class Node:
         return self._sent()
 
     def _at(self, now: float | None) -> float:
-        self.call.now = self.call.now if now is None else now
+        if now is not None:
+            self.call.now = now
         return self.call.now
 
     def _sent(self) -> list[Frame]:

@@ -59,8 +59,7 @@ class Sampling:
     def pause(self, now: float) -> None:
         """OPERATIONAL ends, or samples come in another way: what SDO reads is not valid."""
         self._publishing.withhold()
-        syncs = self._syncs
-        self._paused_s = syncs.synced_s if syncs.begun else now
+        self._paused_s = self._syncs.synced_s if self._syncs.begun else now
         self._pairing.begin()
 
     def resume(self, now: float) -> None:

@@ -222,23 +222,33 @@ class Configured(Protocol):
         """SDO writes, in their order, for Pre-operational."""
 
 
+@dataclass(frozen=True)
+class Restored:
+    """``changes``: values before and of the backup; ``untouched``: not in it."""
+
+    module: NodeAccess
+    identity: NodeIdentity
+    changes: dict[Place, tuple[Any, Any]]
+    untouched: list[Place]
+    saved_as: str | None
+    dry_run: bool
+    preop: bool
+
+
 def restore_backup(
     module: NodeAccess,
     backup: Backup,
     read: Callable[[], Configured],
     made: Callable[[dict[Place, Any]], Configured],
     guard: Guard,
-    path: Path,
-    described: ObjectDescriptions,
     *,
     keep: bool = False,
     force: bool = False,
     preop: bool = False,
     dry_run: bool = False,
-) -> Result:
+) -> Restored:
     """Write, prove, save. CommissioningError if anything fails; all is then as before.
 
-    ``backup`` is that of the file at ``path``; names and units are ``described``.
     ``read`` gives the configuration of the module, or CanfbError. ``made`` makes that of the backup over the
     values of before. ``keep``: save; ``force``: also of another major revision.
     """
@@ -270,45 +280,8 @@ def restore_backup(
             keep=keep,
             stores=STORES,
         )
-    not_in_it = before.values().keys() - backup.values.keys() - {od.TABLE_STAGED, od.TABLE_ACTIVATE}
-    untouched = [od.place_text(place) for place in sorted(not_in_it)]
-    count = f"{len(changes)} of {len(backup.values) + 1} values"
-    written = f"{count} changed to those of {path}, proven by reading all of them back"
-    nothing = f"all values are those of {path} already; nothing was written"
-    ours, theirs = identity.serial_number, backup.identity.serial_number
-    lines = [
-        *(_change(place, pair, described) for place, pair in changes.items()),
-        *those(
-            (dry_run, f"dry run: {path} would change {count} in {module.name}; nothing was written"),
-            (not dry_run, f"{module.name}: {written if changes else nothing}"),
-            (not dry_run, f"saved ({saved_as})" if saved_as else "not saved: --save keeps it (1010h)"),
-            (ours != theirs, f"note: the backup is of serial number {theirs}, this module has {ours}"),
-            (
-                backup.unknown,
-                f"note: left out, as this version does not know them: {', '.join(backup.unknown)}",
-            ),
-            (untouched, f"note: not in the backup, and as before: {', '.join(untouched)}"),
-            (
-                preop and changes and not dry_run,
-                f"note: the node is in PRE-OPERATIONAL: canfb node start {module.node_id:#04x}",
-            ),
-        ),
-    ]
-    figures = {
-        "file": str(path),
-        "node_id": module.node_id,
-        "changed": {
-            od.place_text(place): [one.hex() if isinstance(one, bytes) else one for one in pair]
-            for place, pair in changes.items()
-        },
-        "written": bool(changes) and not dry_run,
-        "saved_as": saved_as,
-        "serial_number": ours,
-        "serial_number_of_backup": theirs,
-        "unknown": list(backup.unknown),
-        "untouched": untouched,
-    }
-    return Result(figures, lines)
+    untouched = sorted(before.values().keys() - backup.values.keys() - {od.TABLE_STAGED, od.TABLE_ACTIVATE})
+    return Restored(module, identity, changes, untouched, saved_as, dry_run, preop)
 
 
 def _checked_identity(module: NodeAccess, backup: Backup, force: bool) -> NodeIdentity:
@@ -384,6 +357,53 @@ def backup_result(backup: Backup, path: Path) -> Result:
         "table_entries": len(backup.table) // 4,
     }
     return Result(figures, lines)
+
+
+def restored_result(path: Path, backup: Backup, done: Restored, described: ObjectDescriptions) -> Result:
+    name, dry_run, saved_as = done.module.name, done.dry_run, done.saved_as
+    count = f"{len(done.changes)} of {len(backup.values) + 1} values"
+    written = f"{count} changed to those of {path}, proven by reading all of them back"
+    nothing = f"all values are those of {path} already; nothing was written"
+    lines = [
+        *(_change(place, pair, described) for place, pair in done.changes.items()),
+        *those(
+            (dry_run, f"dry run: {path} would change {count} in {name}; nothing was written"),
+            (not dry_run, f"{name}: {written if done.changes else nothing}"),
+            (not dry_run, f"saved ({saved_as})" if saved_as else "not saved: --save keeps it (1010h)"),
+        ),
+    ]
+    changes = {
+        od.place_text(place): [one.hex() if isinstance(one, bytes) else one for one in pair]
+        for place, pair in done.changes.items()
+    }
+    figures = {
+        "file": str(path),
+        "node_id": done.module.node_id,
+        "changed": changes,
+        "written": bool(changes) and not dry_run,
+        "saved_as": done.saved_as,
+        "serial_number": done.identity.serial_number,
+        "serial_number_of_backup": backup.identity.serial_number,
+        "unknown": list(backup.unknown),
+        "untouched": [od.place_text(place) for place in done.untouched],
+    }
+    return Result(figures, lines + _notes(backup, done))
+
+
+def _notes(backup: Backup, done: Restored) -> list[str]:
+    ours, theirs = done.identity.serial_number, backup.identity.serial_number
+    untouched = ", ".join(od.place_text(place) for place in done.untouched)
+    sent = done.preop and done.changes and not done.dry_run
+    notes = those(
+        (ours != theirs, f"the backup is of serial number {theirs}, this module has {ours}"),
+        (
+            backup.unknown,
+            f"left out, as this version does not know them: {', '.join(backup.unknown)}",
+        ),
+        (untouched, f"not in the backup, and as before: {untouched}"),
+        (sent, f"the node is in PRE-OPERATIONAL: canfb node start {done.module.node_id:#04x}"),
+    )
+    return [f"note: {note}" for note in notes]
 
 
 def _change(place: Place, pair: tuple[Any, Any], described: ObjectDescriptions) -> str:

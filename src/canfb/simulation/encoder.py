@@ -196,11 +196,8 @@ class ShaftEncoder:
         before_s = max(0.0, at_s - SPEED_OVER_S)
         if before_s == at_s:
             return 0.0
-        return (
-            (revolutions_at(at_s) - revolutions_at(before_s))
-            / (at_s - before_s)
-            * self._cycles_per_revolution
-        )
+        turned = revolutions_at(at_s) - revolutions_at(before_s)
+        return turned / (at_s - before_s) * self._cycles_per_revolution
 
     def fast_samples(
         self, revolutions: npt.NDArray[np.float64], seed: tuple[int, int]

@@ -30,7 +30,7 @@ PLACES = 65536.0  # 2000:07 counts the interval of SYNC in 1/65536
 
 
 class SampleInput:
-    """Waits for all RPDOs with a part of 2000h.
+    """Waits for all RPDOs with a part of 2000h, then gives the sample.
 
     Both tracks of a pair must come in one RPDO. Earlier pairs are used up to the first that no RPDO brings.
 
@@ -58,7 +58,7 @@ class SampleInput:
         self.configure()
 
     def configure(self) -> bool:
-        """True if samples are now paired otherwise."""
+        """True: samples are paired otherwise."""
         with_ = self._node.rpdo_with
         tracks = with_(od.SAMPLE_SINE, od.SAMPLE_COSINE)
         coarse = with_(od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE)
