@@ -214,7 +214,7 @@ def test_the_page(browser: Chromium, page: Process) -> None:
         colours.append(browser.look("getComputedStyle(document.body).backgroundColor"))
     assert colours == ["rgb(243, 245, 246)", "rgb(13, 17, 23)"]
     browser.size(400, 800)
-    assert browser.look("document.documentElement.scrollWidth") <= 400, "no bar across a narrow window"
+    browser.wait_for(lambda: browser.look("document.documentElement.scrollWidth") <= 400, "narrow page")
     assert all(one.startswith((server, "data:")) for one in browser.addresses())
     assert [one for one in browser.complaints() if "403" not in one] == []
     page.stop()
