@@ -285,9 +285,7 @@ def test_no_sample_has_parts_of_two(fates: list[str], random: object) -> None:
             if one[0] in came:  # a late part in place of a lost one is that of a healthy bus
                 frames.insert(choose(range(len(frames) + 1)), one)
         late = [struck] if fate == "late" and not late else []
-        for one in late:
-            frames.remove(one)
-        for can_id, of in frames:
+        for can_id, of in (one for one in frames if one not in late):
             bus.part(can_id, of)
     mixed = [len(numbers(sample)) > 1 for sample in bus.taken]  # its time gives it away, if nothing else does
     assert not any(one and valid for one, valid in zip(mixed, bus.valid, strict=True))

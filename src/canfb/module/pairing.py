@@ -304,6 +304,7 @@ class Pairing(ProcessData):
         apart_s, most_s = self._call.received - self._begun_s, TOGETHER * self.syncs.grid.rough
         if parts.arrived and self.answers.waits and apart_s > most_s:
             self._end_parts(now)
+        parts.is_mixed &= parts.arrived != 0 or apart_s <= most_s
         if not parts.arrived:
             self._begun_s = self._call.received
         if number == parts.judged:

@@ -55,11 +55,11 @@ class Tracker:
         "_phase",
         "_phase_before",
         "_start_speed",
-        "_started",
         "_step",
         "cycles",
         "elapsed",
         "residual_limit",
+        "started",
         "step_cycles",
     )
 
@@ -79,7 +79,8 @@ class Tracker:
         self._phase_before = 0.0  # p(k-2)
         self.elapsed = 1.0  # intervals between samples k-2 and k-1
         self._gap = 0.0  # intervals since sample k-1 that brought no phase
-        self._started = False
+        self.started = False
+        """True once there was a phase."""
         self.step_cycles = 0.0
         """Speed between the last two samples, in cycles per sampling interval."""
 
@@ -96,11 +97,6 @@ class Tracker:
         self._find_speed()
 
     @property
-    def started(self) -> bool:
-        """True once there was a phase."""
-        return self._started
-
-    @property
     def places(self) -> tuple[Track, Track, float]:
         """The last two samples that were taken, and the intervals between them."""
         before = Track(self.cycles - self._step, self._phase_before, 0.0, True)
@@ -109,7 +105,7 @@ class Tracker:
     @property
     def is_steady(self) -> bool:
         """The next sample is one interval after two that were one interval apart."""
-        return self._started and self._gap == 0.0 and self.elapsed == 1.0
+        return self.started and self._gap == 0.0 and self.elapsed == 1.0
 
     def state(self) -> tuple[float, float, int, int]:
         """(p(k-2), p(k-1), i(k-1), i(k-1) - i(k-2)) of a steady tracker."""
@@ -121,7 +117,7 @@ class Tracker:
         ``phase_before``, ``phase``: of the last two samples; ``step``: cycles between them; ``cycles``: the
         count of the last.
         """
-        self._started, self.elapsed, self._gap = True, 1.0, 0.0
+        self.started, self.elapsed, self._gap = True, 1.0, 0.0
         self._phase_before, self._phase, self.cycles, self._step = phase_before, phase, cycles, step
         self._find_speed()
 
@@ -159,7 +155,7 @@ class Tracker:
         """Result of :meth:`update` for this phase, without a change. Arguments unchecked."""
         if phase != phase:
             return self.predict(elapsed)
-        if not self._started:
+        if not self.started:
             return Track(self.cycles, phase, 0.0, True)
         elapsed += self._gap
         if elapsed == self.elapsed:
@@ -197,12 +193,12 @@ class Tracker:
 
     def accept(self, track: Track, elapsed: float = 1.0) -> None:
         """Make ``track``, from :meth:`look`, the last sample of the recursion."""
-        if self._started:
+        if self.started:
             self._step = track.cycles - self.cycles
             self._phase_before = self._phase
             self.elapsed = elapsed + self._gap
         else:
-            self._started = True
+            self.started = True
             whole, self._phase_before = split(track.phase - self._start_speed)
             self._step = -whole
         self.cycles = track.cycles
@@ -212,12 +208,12 @@ class Tracker:
 
     def skip(self, elapsed: float = 1.0) -> None:
         """Step over a sample without a usable phase; the next prediction spans the gap."""
-        if self._started:
+        if self.started:
             self._gap += elapsed
 
     def predict(self, elapsed: float = 1.0) -> Track:
         """Position after ``elapsed`` intervals at the last speed; residual 0.5, never ok."""
-        if not self._started:
+        if not self.started:
             return Track(self.cycles, 0.0, 0.5, False)
         whole, part = self._carry(elapsed + self._gap)
         turns, phase = split(self._phase + part)

@@ -41,6 +41,7 @@ class SampleInput:
     ``timed``               each sample brings its time
     ``judged``              the RPDO with the tracks, if only its arrival says to which SYNC they belong
     ``is_synchronous``      the tracks are taken over at the SYNC after they came
+    ``is_mixed``            a part came twice: up to half a period later none is certain
     ``on_mixed``            called for a part that is not used
     ``pulses``              zero pulses so far
     """
@@ -82,7 +83,7 @@ class SampleInput:
         self._first: int | None = None  # the RPDO that begins a sample
         self._early = self._earliest = 0  # bit n: RPDO n came before that one; the first of them
         self._others_first = 0  # intervals in a row in which the missing parts came before the others
-        self._is_mixed = False  # a part came twice
+        self.is_mixed = False
         before, self._origin = self._origin, (tracks, self.is_synchronous, self.timed, len(earlier))
         return before != self._origin
 
@@ -91,10 +92,10 @@ class SampleInput:
         return 1 + len(self._earlier)
 
     def take(self, number: int) -> bool:
-        """RPDO ``number`` has come; True if the sample is complete with it.
+        """True: the sample is complete with RPDO ``number``.
 
-        A part that comes twice before the others leaves open which of the two belongs to them: the sample is
-        dropped. One before that which usually begins a sample is of the sample before, or doubled.
+        A part that comes twice before the others leaves open which of them belong together: no sample while
+        ``is_mixed``. One before the usual first part is of the sample before, or doubled.
         """
         part = 1 << number
         if not self._required & part:
@@ -106,22 +107,21 @@ class SampleInput:
             return False
         if not self.arrived:
             self._first = number
-        self._is_mixed |= self.arrived & part != 0
+        self.is_mixed |= self.arrived & part != 0
         self.arrived |= part
         if self.arrived != self._required:
             return False
-        mixed, self._is_mixed = self._is_mixed, False
         self.arrived = self._early = self._others_first = 0
-        if mixed:
+        if self.is_mixed:
             self.on_mixed()
-        return not mixed
+        return not self.is_mixed
 
     def give_up(self) -> bool:
         """The interval is over; True if parts of a sample came, but not all.
 
         If the missing ones came before the others, again and again, the interface sends in another order.
         """
-        parts, self.arrived, self._is_mixed = self.arrived, 0, False
+        parts, self.arrived = self.arrived, 0
         early, self._early = self._early, 0
         if parts and early == self._required & ~parts:
             self._others_first += 1
