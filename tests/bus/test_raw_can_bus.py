@@ -233,6 +233,7 @@ def test_filters_are_exact_and_set_when_they_change(wire: Wire) -> None:
 
 
 RESOLUTION_S = 1e-6  # of a float that holds a time of day
+UNSEEN_S = 1e-5 + RESOLUTION_S  # by which a frame may seem earlier
 STEPS = [-3600.0, -1.0, -0.01, -0.001, 0.001, 0.01, 1.0, 3600.0]
 
 
@@ -262,14 +263,14 @@ def clocks() -> Clocks:
     return Clocks()
 
 
-PAUSES_S = st.floats(0.0, 2.0) | st.sampled_from([0.0, 2e-5, 6e-5, 3e-4, 0.001])
+PAUSES_S = st.floats(0.0, 2.0) | st.sampled_from([0.0, 8e-6, 1.6e-5, 2e-5, 6e-5, 3e-4, 0.001])
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 10.0), st.floats(0.0, 59.9), PAUSES_S), min_size=1, max_size=30))
 def test_it_is_when_the_frame_came(frames: list[tuple[float, float, float]]) -> None:
     """Also when the processor is away between two looks: that makes no step, and no frame seem earlier.
 
-    60 us are enough to take an ADC PDO for one of another SYNC.
+    60 us are enough to take an ADC PDO for one of another SYNC. 10 us are not seen.
     """
     clocks = Clocks()
     times = clocks.times()
@@ -278,9 +279,8 @@ def test_it_is_when_the_frame_came(frames: list[tuple[float, float, float]]) -> 
         now, stamp_s = clocks.now, clocks.stamp(ago_s)
         clocks.away_s = [away_s]
         got = times.received(stamp_s, now)
-        assert got == pytest.approx(now - ago_s, abs=RESOLUTION_S)
         assert got is not None
-        assert got <= now
+        assert now - ago_s - UNSEEN_S <= got <= min(now, now - ago_s + RESOLUTION_S)
 
 
 @given(st.lists(st.floats(-4e-5, 4e-5), min_size=1, max_size=200))

@@ -114,10 +114,11 @@ class ReceiveTimes:
     def received(self, stamp_s: float, now: float) -> float | None:
         difference_s = self._wall() - now
         if not -LARGEST_STEP_S <= difference_s - self._difference_s <= CLOSE_S:
-            difference_s = self._look()  # else the frames would seem to have come earlier than they did
-            if abs(difference_s - self._difference_s) > LARGEST_STEP_S:
-                self._stepped = True
-        self._difference_s = difference_s
+            looked_s = self._look()  # else the frames would seem to have come earlier than they did
+            self._stepped |= abs(looked_s - self._difference_s) > LARGEST_STEP_S
+            difference_s = self._difference_s = looked_s
+        # The processor may have been away between the two: the smallest is the best known.
+        self._difference_s = min(difference_s, self._difference_s)
         if self._stepped:
             return None
         delay_s = difference_s + now - stamp_s
