@@ -14,7 +14,6 @@ import pytest
 
 import canfb
 from canfb.bus.opening import check_words
-from canfb.bus.sdo_channel import SharedClient
 from canfb.cia301.frame import Frame
 from canfb.cli import config_file
 from canfb.cli.main import main
@@ -36,6 +35,7 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from commands import Command
 from commissioning_kit import TABLE
 from documentation import blocks, commands, page
+from tools.soak.embedded_master import EmbeddedMaster
 
 ONE = "modules: [{node_id: 0x21, cycles_per_revolution: 1024, adc_bits: 16, encoder_interface: 0x11}]\n"
 
@@ -51,16 +51,12 @@ class Peer(EmbeddedNetwork):
         self.remote = canopen.RemoteNode(config.node_id, eds)
         self.add_node(self.remote)
         bus.attach(self.module)
+        master = EmbeddedMaster(bus, answer_s=1.0)
+        self.sdo, self.wait = master.sdo, master.wait
 
     def connect(self, *args: Any, **words: Any) -> Any:
         assert words == {"interface": "socketcan", "channel": "can0"}
         return self
-
-    def sdo(self, node_id: int) -> Any:
-        return SharedClient(self, node_id, 1.0)
-
-    def wait(self, duration_s: float) -> None:
-        """Nothing happens meanwhile, and the bus has not failed."""
 
     def activate(self, table: CorrectionTable) -> None:
         self.remote.sdo.download(0x2020, 1, table.to_bytes())
