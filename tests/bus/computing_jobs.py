@@ -18,8 +18,9 @@ def add(numbers: tuple[int, ...], tell: Tell) -> int:
     return sum(numbers)
 
 
-def tell_of_the_process(tell: Tell) -> tuple[int, int, str, set[int]]:
-    return os.getpid(), os.getpriority(os.PRIO_PROCESS, 0), sys.argv[0], os.sched_getaffinity(0)
+def tell_of_the_process(tell: Tell) -> tuple[int, int, str, set[int], str]:
+    niceness, threads = os.getpriority(os.PRIO_PROCESS, 0), os.environ["OPENBLAS_NUM_THREADS"]
+    return os.getpid(), niceness, sys.argv[0], os.sched_getaffinity(0), threads
 
 
 def fail(tell: Tell) -> None:

@@ -99,18 +99,22 @@ def test_jobs_are_done_one_after_the_other_and_what_fails_is_told(computer: Any)
     assert one.lines[2].startswith(said)
 
 
-def test_it_is_another_process_that_gives_way_on_the_processors_that_ours_had(computer: Any) -> None:
+def test_it_is_another_process_that_gives_way_on_the_processors_that_ours_had(
+    computer: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     one, before = computer(tell_of_the_process), os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(before)})
     try:
         one.poll_until(lambda: bool(one.results))
     finally:
         os.sched_setaffinity(0, before)
-    ((pid, niceness, program, processors),) = one.results
+    ((pid, niceness, program, processors, threads),) = one.results
     assert pid != os.getpid()
     assert niceness == min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)
     assert program.endswith("compute_process.py"), "nothing of the program that uses it is run again"
     assert processors == before, "also those that ours has left"
+    assert threads == "1", "frames must not wait for more of them"
 
 
 @pytest.mark.parametrize("command", [("/nowhere/at-all",), ("/bin/echo", "no message at all")])

@@ -85,7 +85,7 @@ class Computation:
                 stdin=file,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                env={**os.environ, "PYTHONPATH": path},
+                env={"OPENBLAS_NUM_THREADS": "1", **os.environ, "PYTHONPATH": path},
                 start_new_session=True,  # Ctrl-C is for us; we end it
             )
         assert process.stdout is not None

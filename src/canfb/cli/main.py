@@ -31,6 +31,8 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit code. Without a command: the help."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    # More threads save a tenth, and beside another busy program a calibration takes six times as long.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if "_ARGCOMPLETE" in os.environ:
         from canfb.cli import completion  # here: it serves the shell, not a command
 

@@ -92,12 +92,10 @@ class FaultySource(MotionSource):
         return sample if fault is None else fault(sample)
 
 
-def demo_motion() -> Motion:
-    """A ramp to 2000 rpm within eq. 10 at 1 kHz, then speed that wanders by 3 %."""
-    return Motion(
-        (Ramp(0.5, 0.0), Ramp(1.5, DRIVE_RPM)),
-        (Ripple(0.02 * DRIVE_RPM, 0.31), Ripple(0.01 * DRIVE_RPM, 1.7)),
-    )
+# A ramp to 2000 rpm within eq. 10 at 1 kHz, then speed that wanders by 3 %.
+DRIVE_MOTION = Motion(
+    (Ramp(0.5, 0.0), Ramp(1.5, DRIVE_RPM)), (Ripple(0.02 * DRIVE_RPM, 0.31), Ripple(0.01 * DRIVE_RPM, 1.7))
+)
 
 
 class DemoNetwork:
@@ -117,7 +115,7 @@ class DemoNetwork:
         self.bus = EmbeddedBus(BIT_RATE)
         self.canopen = EmbeddedNetwork(self.bus)
         shaft = ShaftEncoder(self.encoder, CYCLES_PER_REVOLUTION, seed, APERTURE_JITTER_S)
-        self.source = FaultySource(shaft, motion or demo_motion(), SYNC_PERIOD_S)
+        self.source = FaultySource(shaft, motion or DRIVE_MOTION, SYNC_PERIOD_S)
         config = ModuleConfig(
             node_id=NODE_ID,
             encoder_interface=INTERFACE_ID,
