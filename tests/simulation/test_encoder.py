@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,15 +20,7 @@ from folding import each
 from tools.faults.samples import tracks as more
 
 HARMONICS = (Harmonic(2, 0.01, 0.02, 0.4, 1.1), Harmonic(5, 0.0, 0.03))
-BENT = Encoder(
-    amplitude_counts=1400.0,
-    sine_offset=0.04,
-    cosine_offset=-0.03,
-    sine_amplitude=1.03,
-    cosine_amplitude=0.96,
-    phase_error_rad=0.05,
-    harmonics=HARMONICS,
-)
+BENT = replace(demo_encoder(), amplitude_counts=1400.0, harmonics=HARMONICS, noise_lsb=0.0)
 
 
 def by_the_formulas(position: float) -> tuple[float, float]:

@@ -124,7 +124,9 @@ class Producer:
 def test_places_left_out_were_not_received(stamped: bool, overflow: int, missed: int, off: float) -> None:
     producer = Producer(stamped, overflow)
     before = producer.syncs.place
-    assert producer.sync(60 + missed + off, 60 + missed) == SyncVerdict(lost=missed)
+    unsure = off * (stamped and missed and not overflow)  # it may be the next one, of another rate
+    seen = SyncVerdict(lost=missed, off=abs(unsure))
+    assert producer.sync(60 + missed + off, 60 + missed) == pytest.approx(seen, abs=1e-6)
     assert producer.syncs.place == before + 1 + missed
 
 
@@ -189,12 +191,14 @@ def test_a_second_one_at_a_place_brings_no_sample(stamped: bool, overflow: int) 
     again = producer.sync(60.3, 60)
     doubt = float(not stamped and not overflow)  # it may be the next one, on a line that is late
     assert (again.extra, again.repeated, again.doubt) == (True, bool(overflow), doubt)
-    assert producer.sync(61) == ON_TIME
+    assert producer.sync(61) == pytest.approx(ON_TIME, abs=1e-6)
 
 
-@given(off=st.floats(0.35, 0.65), declared=st.sampled_from([0.0, 1e-4]))
-def test_off_the_grid_the_instant_is_bad_by_as_much(off: float, declared: float) -> None:
-    assert Producer(jitter_s=declared).sync(60 + off).off == pytest.approx(min(off, 1.0 - off), abs=1e-6)
+@given(off=st.floats(0.35, 0.65), chance=st.floats(-0.02, 0.02), declared=st.sampled_from([0.0, 1e-4]))
+def test_off_the_grid_the_instant_is_bad_by_as_much(off: float, chance: float, declared: float) -> None:
+    producer = Producer(jitter_s=declared)
+    seen = [producer.sync(60 + at).off for at in (off, 3.0 + chance)]  # which another rate may hit
+    assert seen == pytest.approx([min(off, 1.0 - off), abs(chance)], abs=1e-6)
 
 
 @given(early=st.floats(0.22, 0.45))

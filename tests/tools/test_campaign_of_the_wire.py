@@ -50,6 +50,8 @@ FOUND = (  # each was valid and wrong
     "1006h wrong:counter:515001000000",
     "PDOs late by 1 and 2:counter/rx:737001000002",
     "PDOs late by 1 and 2:servo/rx:2010001000036",
+    "SYNC, another rate:plain/rx:2030001000099",
+    "coarse track, any loss:plain/rx:2040001000019",
 )
 SEEN = ("healthy, zero pulses", "PDO lost, 5", "PDO lost, every n-th", "SYNC unheard by interface")
 AIMED = ("stamp, bad again", "stamp, bad again after reset", "stamp, bad at the start")

@@ -310,6 +310,7 @@ class Pairing(ProcessData):
         if number == parts.judged:
             elapsed = self._judged(now)
             if elapsed is None:
+                parts.is_mixed |= parts.arrived != 0  # its tracks stand in 2000h, in place of others
                 return
             self._tracks_came, self._elapsed = True, elapsed
         if number == parts.alone or parts.take(number):
@@ -386,8 +387,7 @@ class Pairing(ProcessData):
         """So many SYNCs were not received, and these tracks answer the last of them."""
         self.syncs.advance(syncs)
         self._end_parts(now)
-        if self.sampled:
-            _count(self._lost_syncs, syncs)
+        _count(self._lost_syncs, syncs * self.sampled)
         self._sample_came = 0
         self._off = 0.0
 

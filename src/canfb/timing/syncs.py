@@ -31,7 +31,7 @@ class SyncVerdict(NamedTuple):
 
     lost      SYNCs before it that were not received
     extra     no sample is to be expected for it; ``repeated``: nothing is to be done with it
-    off       how far its instant is off the grid, intervals: 0.0 if it is on it
+    off       how far its instant is off its place, intervals; 0.0: on the grid, and nothing is open
     doubt     intervals that may have passed unnoticed; 0.0: none
     """
 
@@ -228,7 +228,8 @@ class Syncs:
             return self._taken(True, places - 1, abs(off_s) / grid.period, doubt)
         # A line through a few instants that jitter may be off by a place.
         doubt = float(missing is None and not grid.locked and (places > 1 or not on))
-        verdict, _, _ = self._taken(True, places - 1, 0.0 if on else abs(off_s) / grid.period, doubt)
+        # After one that was not in turn, a place may be hit by chance: by a producer at another rate.
+        verdict, _, _ = self._taken(True, places - 1, abs(off_s) / grid.period if grid.row else 0.0, doubt)
         if not on:
             grid.skip(places)
         return verdict, places if on else 0, off_s
