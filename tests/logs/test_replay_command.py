@@ -303,7 +303,7 @@ def test_each_log_has_its_row_and_a_second_run_does_what_has_changed(folder: Pat
     rows = do_work(*work_of(folder, SETTINGS, out), SETTINGS, out, 1, progress=parts.append)
     assert comparable(read_rows(out)) == comparable(rows)
     by_name = {Path(row["log"]).stem: row for row in rows}
-    assert by_name.pop("bad")["error"].endswith("1 damaged lines")
+    assert by_name.pop("bad")["error"].endswith("1 damaged lines: record it with candump -L")
     for n in range(GOOD):
         row = by_name[str(n)]
         assert (row["error"], row["samples"], row["amplitude_times"]) == (None, 100 + 10 * n, n)

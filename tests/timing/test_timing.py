@@ -124,9 +124,9 @@ class Producer:
 def test_places_left_out_were_not_received(stamped: bool, overflow: int, missed: int, off: float) -> None:
     producer = Producer(stamped, overflow)
     before = producer.syncs.place
-    unsure = off * (stamped and missed and not overflow)  # it may be the next one, of another rate
-    seen = SyncVerdict(lost=missed, off=abs(unsure))
-    assert producer.sync(60 + missed + off, 60 + missed) == pytest.approx(seen, abs=1e-6)
+    chance = abs(off) * (stamped and missed and not overflow)  # it may be the next one, of another rate
+    seen = producer.sync(60 + missed + off, 60 + missed)
+    assert seen == pytest.approx(SyncVerdict(missed, off=chance), abs=1e-6)
     assert producer.syncs.place == before + 1 + missed
 
 

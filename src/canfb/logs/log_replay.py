@@ -247,12 +247,12 @@ def replay_log(
 
 
 def _check_frames(log: BusLogFile) -> None:
-    counters = log.counters
-    if counters.left_out and not counters.channels:
-        there = ", ".join(sorted(counters.left_out))
+    channels, others, lines = log.counters.channels, log.counters.left_out, log.counters.damaged_lines
+    if others and not channels:
+        there = ", ".join(sorted(others))
         raise LogError(f"{log.path}: there is no frame of channel {log.channel}; there are {there}")
-    if not counters.channels:
-        damaged = f"; {counters.damaged_lines} damaged lines" if counters.damaged_lines else ""
+    if not channels:
+        damaged = f"; {lines} damaged lines: record it with candump -L" * bool(lines)
         raise LogError(f"{log.path}: there is no frame with an 11-bit identifier in it{damaged}")
 
 
