@@ -33,6 +33,7 @@ settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 signal.signal(signal.SIGHUP, lambda number, frame: None)  # nohup ignores it, and so would each command
 os.environ["XDG_CONFIG_HOME"] = "/no-such-folder"  # no default bus of the user
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more wait for each other where tests run side by side
 for _name in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"):
     os.environ.pop(_name, None)  # nor does a service manager hear of them
 

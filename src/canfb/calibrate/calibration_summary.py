@@ -192,7 +192,6 @@ def facts(measured: Measurement, done: Installation, where: Provenance) -> list[
     calibration, samples, fresh = measured.calibration, measured.samples, done.fresh
     spike, meanwhile = measured.on_samples.spike, where.meanwhile
     duration = f", {samples.duration_s:.3g} s" if samples.duration_s else ""
-    moved = f"{PERCENT * calibration.coverage:.0f} % of the cycle, {moved_words(calibration, where)}"
     error = done.phase_error_cycles
     is_lost = meanwhile is not None and meanwhile.is_lost
     return [
@@ -224,7 +223,8 @@ def facts(measured: Measurement, done: Installation, where: Provenance) -> list[
         ),
         Row(
             "coverage",
-            moved + coverage_warning(measured),
+            f"{PERCENT * calibration.coverage:.0f} % of the cycle, {moved_words(calibration, where)}"
+            + coverage_warning(measured),
             coverage=calibration.coverage,
             coverage_spike=spike and spike[0],
             cycles_used=calibration.cycles_used,

@@ -19,6 +19,7 @@ held.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -53,7 +54,7 @@ class JointFit:
     waveform, motion  both tracks; coefficients of the polynomials, (blocks, terms), cycles
     along, across     residuals in counts, (blocks, length); noise: estimated from those used
     speed             length of the curve's tangent, counts per cycle, (blocks, length)
-    covariance        of the coefficients (sine, then cosine), counts^2
+    information       inverse of :attr:`covariance`, with phase 0 held
     """
 
     blocks: Blocks
@@ -63,7 +64,12 @@ class JointFit:
     across: FloatArray
     speed: FloatArray
     noise: Noise
-    covariance: FloatArray
+    information: FloatArray
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Of the coefficients (sine, then cosine), counts^2; of most fits nobody asks for it."""
+        return inverse(self.information)
 
     @property
     def position(self) -> FloatArray:
@@ -112,7 +118,7 @@ def bound_covariance(fit: JointFit) -> FloatArray:
     For its noise on each track, its samples, motion and orders.
     """
     system = _System(fit.blocks, fit.waveform, fit.motion, Noise(fit.noise_counts, fit.noise_counts))
-    return system.inverse(system.reduced)
+    return inverse(system.held(system.reduced))
 
 
 def information_loss(blocks: Blocks, waveform: Waveform, motion: FloatArray) -> float:
@@ -124,7 +130,8 @@ def information_loss(blocks: Blocks, waveform: Waveform, motion: FloatArray) -> 
     system = _System(blocks, waveform, motion, Noise(1.0, 1.0))
     sensitivity = table_sensitivity(waveform, IDENTITY)
     with_motion, without = (
-        table_variance(sensitivity, system.inverse(one)).sum() for one in (system.reduced, system.normal)
+        table_variance(sensitivity, inverse(system.held(one))).sum()
+        for one in (system.reduced, system.normal)
     )
     return float(np.sqrt(with_motion / without))
 
@@ -195,14 +202,14 @@ class _System:
         motion = max(0.0, along - across) * speed**2 / np.mean(speed**2)
         return used / (min(along, across) + motion), used / across
 
-    def _held(self, matrix: FloatArray) -> FloatArray:
+    def held(self, matrix: FloatArray) -> FloatArray:
         # The data does not determine phase 0: a shift of it moves the coefficients by their slope.
         origin = self.slope.coefficients.ravel() / np.linalg.norm(self.slope.coefficients)
         size = float(np.trace(matrix)) / len(matrix)
         return np.asarray(matrix + size * np.outer(origin, origin), np.float64)
 
     def step(self) -> tuple[Waveform, FloatArray, float]:
-        change = np.linalg.lstsq(self._held(self.reduced), self.reduced_right, rcond=1e-14)[0]
+        change = np.linalg.lstsq(self.held(self.reduced), self.reduced_right, rcond=1e-14)[0]
         motion = self.solved_right - self.solved_cross @ change
         moved = np.abs(motion).sum(axis=1)
         step = float(np.quantile(moved, 0.9)) if len(moved) else 0.0
@@ -226,11 +233,12 @@ class _System:
             self.across,
             self.speed,
             noise,
-            self.inverse(self.reduced) * scale,
+            self.held(self.reduced) / scale,
         )
 
-    def inverse(self, information: FloatArray) -> FloatArray:
-        return np.asarray(np.linalg.pinv(self._held(information), rcond=1e-14, hermitian=True), np.float64)
+
+def inverse(information: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.pinv(information, rcond=1e-14, hermitian=True), np.float64)
 
 
 def _gram(columns: FloatArray, weight: FloatArray) -> FloatArray:
@@ -366,8 +374,7 @@ def table_sensitivity(waveform: Waveform, conditioning: Conditioning, points: in
     At a given raw phase only the part of a track error across the ray from the origin counts:
     it moves the place where the curve crosses that ray.
     """
-    position = np.arange(points) / points
-    columns = basis(position, waveform.orders)
+    columns = basis(np.arange(points) / points, waveform.orders)
     s, c = conditioning.apply(*waveform.over(columns))
     slope_s, slope_c = waveform.slope().over(columns)
     _, gain_s, _, factor_c, skew = conditioning.coefficients()

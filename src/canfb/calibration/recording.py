@@ -167,8 +167,7 @@ def recording(
     """Check the arguments of a reference measurement. ValueError for wrong ones, CalibrationError
     ("samples") for too few usable samples. The mark of a missed sample (2050:03) is not a sample.
     ``may_be_offset``: a conditioning will take the offset away."""
-    both = pair_of_tracks(sine, cosine, may_be_offset=may_be_offset)
-    s, c = np.array(both, np.float64)
+    s, c = np.array(pair_of_tracks(sine, cosine, may_be_offset=may_be_offset), np.float64)
     missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS)
     s[missed] = c[missed] = np.nan
     usable = np.isfinite(s) & np.isfinite(c)

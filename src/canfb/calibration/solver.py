@@ -129,7 +129,7 @@ class Solver:
             fit = self._more_orders(self._fit(self.record.cut(*shape), better))
         self.report(0.7)
         all_orders = uncertainty(fit, self.ellipse)
-        mixed = fit.noise_cycles * float(np.sqrt(len(fit.covariance) / fit.blocks.samples))
+        mixed = fit.noise_cycles * float(np.sqrt(len(fit.information) / fit.blocks.samples))
         if all_orders > INSEPARABLE * mixed:
             raise no_fit("the samples have too few different phases to separate the harmonics", np.inf)
         fit = self._only_significant(fit)
@@ -252,8 +252,8 @@ COARSE_CYCLES = 0.05
 
 
 def uncertainty(fit: JointFit, conditioning: Conditioning) -> float:
-    variance = table_variance(table_sensitivity(fit.waveform, conditioning), fit.covariance)
-    return float(np.sqrt(variance.mean()))
+    sensitivity = table_sensitivity(fit.waveform, conditioning)
+    return float(np.sqrt(table_variance(sensitivity, fit.covariance).mean()))
 
 
 def significant_orders(fit: JointFit) -> tuple[int, ...]:
