@@ -429,8 +429,8 @@ class Pairing(ProcessData):
         elif not self._chain.crowded:
             self.count_bad_frame()
             return
-        elif self._chain.slips(self._chain.times.passed):
-            self._publishing.withhold()  # the position is that of the sample before
+        elif self._chain.slips(1.0):
+            self._publishing.withhold()  # the position is that of the sample before, if its time is right
         self._sample_came += 1
         self._answer(max(place, self._accounted))
 
