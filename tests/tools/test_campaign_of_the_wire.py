@@ -53,6 +53,7 @@ FOUND = (  # each was valid and wrong
     "SYNC, another rate:plain/rx:2030001000099",
     "coarse track, any loss:plain/rx:2040001000019",
     "stamp, one bad, TPDO 1:servo:2050001000026",
+    "stamp, clock steps:times-free:2050001000070",
 )
 SEEN = ("healthy, zero pulses", "PDO lost, 5", "PDO lost, every n-th", "SYNC unheard by interface")
 
@@ -127,8 +128,7 @@ def test_after_a_reset_the_module_counts_from_where_it_starts_and_not_twice() ->
 def test_a_sync_without_its_pdo_is_counted() -> None:
     plan = plan_of(Episode("SYNC faster, TPDO 1", "plain", 0))
     line = lay(plan)
-    syncs = [one for one in line.events if one.what == "sync"]
-    answers = [Sent(one.time, one, Frame(TPDO1_ID, bytes(8)), -1) for one in syncs]
+    answers = [Sent(at.time, at, Frame(TPDO1_ID, bytes(8)), -1) for at in line.events if at.what == "sync"]
     for sent, unanswered in ((answers, 0), (answers[:20] + answers[23:], 3)):
         assert Judge(plan, line).judge(sent).unanswered == unanswered
 

@@ -132,8 +132,7 @@ def never_forgets(effort: Effort) -> Iterator[Claim]:
     """One bad sample at 2000 rpm and 1 kHz."""
     samples, at, glitch = 1300, 500, 0.3
     rng = np.random.default_rng(13)
-    speed = cycles_per_sample(TOP_RPM, SLOW_RATE_HZ)
-    way = Way.from_steps(turning(speed, samples))
+    way = Way.from_steps(turning(cycles_per_sample(TOP_RPM, SLOW_RATE_HZ), samples))
     sine, cosine = sampled(USUAL, way, rng)
     sine[at], cosine[at] = USUAL.sample(way.phase[at] + glitch, rng)
     result = bare(sine, cosine, exact_table(USUAL.tracks))

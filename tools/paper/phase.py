@@ -105,8 +105,7 @@ def reference_measurement(effort: Effort) -> Iterator[Claim]:
 
 
 def conclusion(effort: Effort) -> Iterator[Claim]:
-    position = np.arange(0, GRID, 7) / GRID
-    sine, cosine = ideal_tracks(position)
+    sine, cosine = ideal_tracks(np.arange(0, GRID, 7) / GRID)
     raw = phase_in_cycle(sine, cosine)
     common = max(
         float(np.abs(wrap(phase_in_cycle(k * sine, k * cosine) - raw)).max()) for k in (0.1, 0.5, 1.3, 7)

@@ -238,8 +238,7 @@ def _spread(state: States, per_sync: int) -> States:
     """What is missing or flagged concerns a SYNC: all its samples, if one of them."""
     if per_sync == 1:
         return state
-    whole = len(state) // per_sync * per_sync
-    groups = state[:whole].reshape(-1, per_sync)
+    groups = state[: len(state) // per_sync * per_sync].reshape(-1, per_sync)
     for one in (State.FLAGGED, State.MISSING):
         groups[(groups == one).any(axis=1)] = one
     return state

@@ -185,8 +185,7 @@ def judge(episode: Episode, published: Published) -> Verdict:
     valid = published.valid
     wrong = valid & (np.abs(published.position - episode.truth) >= episode.declared.wrong_cycles)
     newest = slice(per_sync - 1 + (fault // per_sync) * per_sync, None, per_sync)
-    first = per_sync - 1
-    early = not valid[first:fault].all() or bool(wrong[:fault].any())
+    early = not valid[per_sync - 1 : fault].all() or bool(wrong[:fault].any())
     return Verdict(
         early=early,
         wrong=causes(episode, published, np.flatnonzero(wrong)) if wrong.any() and not early else {},

@@ -98,8 +98,7 @@ def bad_stamp_early(plan: Plan) -> None:
     least = stamp_tolerance(plan.setup, plan.options.interval_s) + 0.03
     fits = [n for n in range(begin + 3, 31) if least < 1.0 / (abs(size) * (n + 1 - begin)) < 0.9]
     plan.fault = int(plan.rng.choice(fits)) if fits else 30
-    speed = size * (plan.fault + 1 - begin)
-    error = 1.0 / abs(speed) * plan.options.interval_s / TICK_S
+    error = 1.0 / abs(size * (plan.fault + 1 - begin)) * plan.options.interval_s / TICK_S
     plan.slots[plan.fault].stamp_add = round(error) * int(plan.rng.choice((-1, 1)))
     plan.slots = plan.slots[: plan.fault + 30]
 

@@ -119,8 +119,7 @@ def draw_servo(setup: Setup, rng: np.random.Generator, after: int) -> Plan:
     options.exact = bool(rng.integers(2))
     options.overflow = int(rng.choice((10, 240)))
     motion = Motion(start=float(rng.uniform(0.1, 0.9)) + float(rng.integers(-3, 3)))
-    share = float(rng.choice((1.0, 1.0, 0.3, 0.05)))
-    jerk = TOP_JERK * share
+    jerk = TOP_JERK * float(rng.choice((1.0, 1.0, 0.3, 0.05)))
     options.limit = TOP_ACCELERATION * KNOWN
     end, speed = float(SERVO_REST), 0.0
     learning = options.margin > 0 and bool(rng.integers(2))  # the noise is known before the fault

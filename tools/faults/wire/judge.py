@@ -58,6 +58,7 @@ class Shown:
     residual: float
     error: float
     pdo: Event | None  # the ADC PDO that made the module send it
+    newest: int  # sample that the module has heard
 
     @property
     def valid(self) -> bool:
@@ -153,8 +154,8 @@ class Judge:
         """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown until then."""
         if self._plan.setup.times or not physics.answers_another(self._line):
             return False
-        answers = ((pdo, one) for pdo, one in self._answers() if one.now <= self._last_wrong)
-        return self._is_legal([(self._last_sync(pdo.time), one.position) for pdo, one in answers])
+        until = [one for _, one in self._samples() if one.now <= self._last_wrong]
+        return self._is_legal([(self._last_sync(one.pdo.time), one.position) for one in until if one.pdo])
 
     def _is_p9(self) -> bool:
         """Sample times are off by no more than the wire can be, and a machine moves as was shown at them."""
@@ -162,7 +163,7 @@ class Judge:
         off = [abs(named - time) for named, time in zip(line.named, line.sample_times, strict=True)]
         if not (self._plan.setup.times and 0.0 < max(off, default=0.0) <= self._tolerance):
             return False
-        shown = [(line.named[pdo.number], one.position) for pdo, one in self._answers()]
+        shown = [(line.named[n], one.position) for n, one in self._samples()]
         if self._plan.setup.servo:
             return self._is_legal(self._with_earlier(shown), 4.0 * LIMIT_MARGIN)  # noise / step^2, at T/2
         return self._is_legal(shown)
@@ -170,15 +171,16 @@ class Judge:
     def _with_earlier(self, shown: list[tuple[float, float]]) -> list[tuple[float, float]]:
         """With the earlier pair of each PDO, half a period before, in the cycle that its speed gives."""
         pairs = []
-        for ((before, x), (named, y)), (pdo, _) in zip(pairwise(shown), self._answers()[1:], strict=True):
-            true = self._plan.motion.at([self._line.sample_times[pdo.number] - 0.5])[0] - self._base
+        for ((before, x), (named, y)), (n, _) in zip(pairwise(shown), self._samples()[1:], strict=True):
+            true = self._plan.motion.at([self._line.sample_times[n] - 0.5])[0] - self._base
             expected = y - 0.5 * within_half(y - x, RANGE_CYCLES) / (named - before)
             pairs += [(named - 0.5, expected + within_half(true - expected, 1.0)), (named, y)]
         return pairs
 
-    def _answers(self) -> list[tuple[Event, Shown]]:
+    def _samples(self) -> list[tuple[int, Shown]]:
+        """Which one each valid TPDO shows: that of the PDO, or at a SYNC the newest."""
         valid = (one for one in self.shown if one.what == "TPDO" and one.valid)
-        return [(one.pdo, one) for one in valid if one.pdo is not None]
+        return [(one.newest if one.pdo is None else one.pdo.number, one) for one in valid]
 
     def _is_legal(self, shown: list[tuple[float, float]], margin: float = LIMIT_MARGIN) -> bool:
         return physics.is_smooth(shown, (self._plan.options.limit or RESIDUAL_LIMIT) + margin, RANGE_CYCLES)
@@ -209,7 +211,7 @@ class Judge:
             # A zero pulse ends a loss within the revolution.
             error = self._error(one, position, CYCLES_PER_REVOLUTION)
         pdo = one.cause if one.cause is not None and one.cause.what == "pdo" else None
-        shown = Shown(one.now, what, position, status, residual, error, pdo)
+        shown = Shown(one.now, what, position, status, residual, error, pdo, one.newest)
         self.shown.append(shown)
         if not valid:
             if one.newest < 0 or one.now < START:

@@ -150,7 +150,7 @@ def lay(plan: Plan) -> Line:
                 time = nominal + (SAMPLE_LATENCY_US + slot.sample_late_us) * plan.us
                 samplings.append(_Sampling(number, max(heard, nominal), time))
     positions = plan.motion.at([one.time for one in samplings])
-    _send_samples(plan, samplings, positions, events)
+    named = _send_samples(plan, samplings, positions, events)
     _send_foreign(plan, events)
     for at in plan.reads:
         events.append(Event(at, "sdo", sdo_read(0x2011, 1), 0))
@@ -164,9 +164,6 @@ def lay(plan: Plan) -> Line:
         events.append(Event(at, what, command, 0))
     events.sort(key=lambda one: one.time)  # those of one time as they were laid
     times, slots = [one.time for one in samplings], [one.slot for one in samplings]
-    added = (0 if plan.slots[n].stamp is not None else plan.slots[n].stamp_add for n in slots)
-    ticks = TICK_S / plan.options.interval_s
-    named = [time + one * ticks for time, one in zip(times, added, strict=True)]
     return Line(events, times, slots, positions.tolist(), named)
 
 
@@ -186,8 +183,11 @@ def _sync_times(plan: Plan) -> list[float]:
     return times
 
 
-def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray, events: list[Event]) -> None:
-    rng, us = plan.rng, plan.us
+def _send_samples(
+    plan: Plan, samplings: list[_Sampling], positions: np.ndarray, events: list[Event]
+) -> list[float]:
+    """The moments that their times name."""
+    rng, us, named = plan.rng, plan.us, [one.time for one in samplings]
     exact = plan.options.exact
     tracks = partial(counts, rng=rng, exact=exact, amplitude=AMPLITUDE_COUNTS, most_noise=math.inf)
     sine, cosine = tracks(positions)
@@ -210,8 +210,11 @@ def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray,
         stamp = b""
         if plan.setup.times:
             true_s = one.time * plan.options.interval_s
-            tick = math.floor(true_s * (1.0 + plan.drift) / TICK_S) + offset + slot.stamp_add
-            stamp = struct.pack("<I", (tick if slot.stamp is None else slot.stamp) & U32)
+            tick = math.floor(true_s * (1.0 + plan.drift) / TICK_S) + offset
+            off = slot.stamp_add if slot.stamp is None else slot.stamp - tick
+            off = (off + (1 << 31)) % (1 << 32) - (1 << 31)
+            named[n] += off * TICK_S / plan.options.interval_s
+            stamp = struct.pack("<I", tick + off & U32)
         if earlier is None:
             data += stamp
         else:
@@ -232,6 +235,7 @@ def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray,
                 at = sent + (70.0 + later) * us
                 events.append(Event(at, "extra", Frame(EXTRA_ID, extra), n))
         before = one.time
+    return named
 
 
 def _send_foreign(plan: Plan, events: list[Event]) -> None:
