@@ -68,8 +68,7 @@ def _long_run(key: str, top_speed: float, change: float, effort: Effort) -> Clai
 
 def revolutions(effort: Effort) -> Claim:
     """There and back at 2000 rpm and 1 kHz: whole revolutions from the cycle count."""
-    speed = cycles_per_sample(TOP_RPM, SLOW_RATE_HZ)
-    ramp = np.full(400, speed / 400)
+    ramp = np.full(400, cycles_per_sample(TOP_RPM, SLOW_RATE_HZ) / 400)
     there = np.concatenate([[0.0], ramp, np.zeros(effort.samples // 2 - 801), -ramp])
     way = Way.from_steps(np.concatenate([there, -there]))
     result = followed(USUAL, way, np.random.default_rng(3))

@@ -169,12 +169,13 @@ class Judge:
         return self._is_legal(shown)
 
     def _with_earlier(self, shown: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        """With the earlier pair of each PDO, half a period before, in the cycle that its speed gives."""
+        """With the earlier pair of each PDO, T/2 before, in the cycle that its speed gives, not over gaps."""
         pairs = []
         for ((before, x), (named, y)), (n, _) in zip(pairwise(shown), self._samples()[1:], strict=True):
             true = self._plan.motion.at([self._line.sample_times[n] - 0.5])[0] - self._base
             expected = y - 0.5 * within_half(y - x, RANGE_CYCLES) / (named - before)
-            pairs += [(named - 0.5, expected + within_half(true - expected, 1.0)), (named, y)]
+            earlier = (named - 0.5, expected + within_half(true - expected, 1.0))
+            pairs += [earlier, (named, y)] if named - before < 1.5 else [(named, y)]
         return pairs
 
     def _samples(self) -> list[tuple[int, Shown]]:
