@@ -182,6 +182,11 @@ def counts(
     return sine, cosine
 
 
+def within_half(value: float, whole: float) -> float:
+    """``value`` modulo ``whole``, within half of it around 0."""
+    return (value + whole / 2) % whole - whole / 2
+
+
 def ideal_tracks(phase: Array) -> tuple[Array, Array]:
     angle = 2.0 * np.pi * phase
     return np.sin(angle), np.cos(angle)

@@ -223,5 +223,4 @@ def _generators(
         known = tuple(times[n - order : n])
         rows[n] = weights(known, times[n]) @ rows[n - order : n]
         rows[n, n] += largest * scale(known, times[n])
-    own = error * np.eye(len(behind))
-    return np.hstack([rows[-len(behind) :], own])
+    return np.hstack([rows[-len(behind) :], error * np.eye(len(behind))])

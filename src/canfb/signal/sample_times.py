@@ -168,9 +168,8 @@ class SampleTimes:
                 late_s = soonest_s - least_s
                 if right:
                     right = harmless_s == unsure_s or not spare_s < -late_s < inf
-                    self._least_s = (
-                        min(soonest_s, least_s + DRIFT * passed_s * (late_s < HEARD_S)) if right else least_s
-                    )
+                    if right:
+                        self._least_s = min(soonest_s, least_s + DRIFT * passed_s * (late_s < HEARD_S))
                 elif counted > self._refused_counted:  # SYNCs were not sent, not received, or sent late
                     before, self._agrees = self._agrees, abs(late_s) <= unsure_s
                     right = by_call = before and self._agrees

@@ -22,9 +22,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
+from tools.faults.machine import within_half
 from tools.faults.wire import physics
 from tools.faults.wire.line import Event, Line, Plan, Sent
-from tools.faults.wire.physics import within_half
 from tools.faults.wire.setups import (
     CYCLES_PER_REVOLUTION,
     EMCY_ID,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canfb import Frame
-from tools.faults.machine import Motion, counts
+from tools.faults.machine import Motion, counts, within_half
 from tools.faults.wire.setups import (
     ADC_ID,
     CYCLES_PER_REVOLUTION,
@@ -211,10 +211,9 @@ def _send_samples(
         if plan.setup.times:
             true_s = one.time * plan.options.interval_s
             tick = math.floor(true_s * (1.0 + plan.drift) / TICK_S) + offset
-            off = slot.stamp_add if slot.stamp is None else slot.stamp - tick
-            off = (off + (1 << 31)) % (1 << 32) - (1 << 31)
-            named[n] += off * TICK_S / plan.options.interval_s
-            stamp = struct.pack("<I", tick + off & U32)
+            shown = tick + slot.stamp_add if slot.stamp is None else slot.stamp
+            named[n] += within_half(shown - tick, 1 << 32) * TICK_S / plan.options.interval_s
+            stamp = struct.pack("<I", shown & U32)
         if earlier is None:
             data += stamp
         else:

@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Sequence
 
+from tools.faults.machine import within_half
 from tools.faults.wire.line import Line, Plan
 from tools.faults.wire.setups import Setup
 
@@ -72,11 +73,6 @@ def answers_another(line: Line) -> bool:
                 return True
             first = False
     return False
-
-
-def within_half(value: float, whole: float) -> float:
-    """``value`` modulo ``whole``, within half of it around 0."""
-    return (value + whole / 2) % whole - whole / 2
 
 
 def is_smooth(shown: Sequence[tuple[float, float]], limit: float, whole: float) -> bool:
