@@ -21,8 +21,7 @@ from canfb.checks import flag, within
 from canfb.errors import ConfigError
 from canfb.files import read_bytes
 from canfb.interface.encoder_interface import InterfaceConfig
-from canfb.marked_yaml import YamlError, compose, construct, found_at, pairs
-from canfb.marked_yaml import line_of as yaml_line
+from canfb.marked_yaml import YamlError, compose, construct, found_at, line_of as yaml_line, pairs
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig, SecondPositionConfig
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning

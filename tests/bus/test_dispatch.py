@@ -9,8 +9,7 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.bus.frame_bus import REMOTE, FrameBus, Received
 from canfb.bus.runner import Runner

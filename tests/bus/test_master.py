@@ -15,8 +15,7 @@ from typing import Any
 import can
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.clocks import date_and_time

@@ -17,12 +17,7 @@ import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 from can.interfaces.virtual import VirtualBus
 
-from canfb.bus.opening import (
-    describe,
-    group_port,
-    open_bus,
-    open_device_bus,
-)
+from canfb.bus.opening import describe, group_port, open_bus, open_device_bus
 from canfb.bus.raw_can_bus import RawCanBus
 from canfb.errors import BusError, ConfigError
 

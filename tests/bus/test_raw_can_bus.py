@@ -12,12 +12,10 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.bus.clocks import LARGEST_STEP_S, LEARNED_FRAMES, LONGEST_DELAY_S, OtherClock, ReceiveTimes
-from canfb.bus.dispatch import LONGEST_DELAY_S as LONGEST_WAIT_S
-from canfb.bus.dispatch import LONGEST_QUEUE
+from canfb.bus.dispatch import LONGEST_DELAY_S as LONGEST_WAIT_S, LONGEST_QUEUE
 from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE
 from canfb.bus.raw_can_bus import LONGEST_LATENCY_S, MOST_FILTERS, FrameReader, RawCanBus
 from canfb.bus.runner import Runner

@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from measurements import extreme_encoder, measured, paper_motion, random_encoder, true_phases, wandering
 
 from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings

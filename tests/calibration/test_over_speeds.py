@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from measurements import CYCLES_PER_REVOLUTION, RATE_HZ
 
 from canfb.calibration.over_speeds import (
@@ -17,13 +16,7 @@ from canfb.calibration.over_speeds import (
     calibrate_over_speeds,
     standing_waveform,
 )
-from canfb.calibration.path_fit import (
-    AMPLITUDE_REPEATS,
-    Fundamental,
-    PathFit,
-    fit_low_pass,
-    fit_path,
-)
+from canfb.calibration.path_fit import AMPLITUDE_REPEATS, Fundamental, PathFit, fit_low_pass, fit_path
 from canfb.errors import CalibrationError
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig

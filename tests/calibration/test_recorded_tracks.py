@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from measurements import table_error
 
 from canfb.calibration.deviation import best_deviation
 from canfb.calibration.methods import calibrate_from_motion
-from canfb.calibration.recording import (
-    BASELINE,
-    LONGEST_LAG,
-    positions,
-    recorded_tracks,
-    recording,
-)
+from canfb.calibration.recording import BASELINE, LONGEST_LAG, positions, recorded_tracks, recording
 from canfb.calibration.result import Reason
 from canfb.signal import sample_recording
 from canfb.signal.correction import NO_CORRECTION

@@ -17,10 +17,17 @@ import numpy as np
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.demo import demo_page
-from canfb.demo import story as story_module
-from canfb.demo.demo_page import account, position_error, residual, servo, servo_facts, tracks, write_files
-from canfb.demo.demo_page import figures as figures_of
+from canfb.demo import demo_page, story as story_module
+from canfb.demo.demo_page import (
+    account,
+    figures as figures_of,
+    position_error,
+    residual,
+    servo,
+    servo_facts,
+    tracks,
+    write_files,
+)
 from canfb.demo.story import (
     ACCELERATION_RAD_S2,
     CYCLES_PER_REVOLUTION,

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 import sample_eds
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.device.od import eds
 from canfb.device.od.dcf import Write, dcf_text, decode_concise, encode_concise

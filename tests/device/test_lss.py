@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 from device_kit import RESET_COMMUNICATION, StoringBench, hexes, write_eds
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 from device_kit import ID, OK, Bench, hexes
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.cia301.codes import AbortCode, EmergencyCode, NmtState
 from canfb.cia301.frame import Frame

@@ -7,8 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from device_kit import ID, Bench, RecordingApplication, hexes
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from canfb.cia301 import cob

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 import sample_eds
 from device_kit import ID, OK, Bench
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.node import Node

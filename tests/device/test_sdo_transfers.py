@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 from device_kit import ID, Bench
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.cia301.codes import AbortCode
 from canfb.device.od.dictionary import Dictionary

@@ -23,18 +23,10 @@ from device_kit import (
     StoringBench,
     write_eds,
 )
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.storage.kept import (
-    Identity,
-    ImageError,
-    ParameterGroup,
-    Record,
-    decode_image,
-    encode_image,
-)
+from canfb.device.storage.kept import Identity, ImageError, ParameterGroup, Record, decode_image, encode_image
 from canfb.device.storage.storage import MemoryStore
 from drawing import examples
 

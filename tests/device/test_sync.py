@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 from device_kit import ID, OK, Bench
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.cia301.codes import AbortCode
 from canfb.device.core import FOLLOWED, IGNORED, REVOKED, HeldRpdo

@@ -7,8 +7,7 @@ import struct
 
 import can
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb import objects as od
 from canfb.cia301.frame import Frame

@@ -12,8 +12,7 @@ import axis
 import configuring
 import nodes
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from story_bench import FOLDER, DriveNetwork, assert_all_quiet
 
 import master

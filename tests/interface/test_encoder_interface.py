@@ -8,8 +8,7 @@ import struct
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import EncoderInterface, SampleClock

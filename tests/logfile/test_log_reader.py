@@ -10,8 +10,7 @@ from pathlib import Path
 
 import can
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.logfile import bus_logs

@@ -21,8 +21,16 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CanfbError
 from canfb.hosting.state_files import StateFiles
 from canfb.logs import log_replay
-from canfb.logs.log_replay import COLUMNS as ROW_COLUMNS
-from canfb.logs.log_replay import LogJob, LogRow, ReplayOptions, do_work, read_rows, rows_of, work_of
+from canfb.logs.log_replay import (
+    COLUMNS as ROW_COLUMNS,
+    LogJob,
+    LogRow,
+    ReplayOptions,
+    do_work,
+    read_rows,
+    rows_of,
+    work_of,
+)
 from canfb.objects import StatusBit
 from canfb.replay.findings import COLUMNS
 from canfb.sdo.tables import as_yaml

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from canopen import SdoAbortedError
-from hypothesis import settings
-from hypothesis import strategies as st
+from hypothesis import settings, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from module_bench import Bench
 
@@ -21,9 +20,7 @@ from canfb.calibration.result import Calibration, Reason, drift
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.objects.calibrating import CalibrationJob, Outcome
-from canfb.objects import MeasurementCommand as Command
-from canfb.objects import MeasurementState as State
-from canfb.objects import StatusBit
+from canfb.objects import MeasurementCommand as Command, MeasurementState as State, StatusBit
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray

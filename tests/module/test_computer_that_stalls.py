@@ -6,8 +6,7 @@ import math
 import random
 import struct
 
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE

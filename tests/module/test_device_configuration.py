@@ -14,22 +14,14 @@ import canopen
 import dcf
 import dcf.cli
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from module_bench import Bench
 
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
-from canfb.device.od.dcf import (
-    Reals,
-    Write,
-    dcf_text,
-    decode_concise,
-    encode_concise,
-    real_as_text,
-)
+from canfb.device.od.dcf import Reals, Write, dcf_text, decode_concise, encode_concise, real_as_text
 from canfb.device.od.dictionary import Entry
 from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of, configuration_read

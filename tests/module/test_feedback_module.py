@@ -5,8 +5,7 @@ import struct
 
 import pytest
 from canopen import SdoAbortedError
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame

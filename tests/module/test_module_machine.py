@@ -13,8 +13,7 @@ import struct
 from collections import Counter
 from dataclasses import replace
 
-from hypothesis import event, settings
-from hypothesis import strategies as st
+from hypothesis import event, settings, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from reference_model import RANGE, Beyond, Limits, Published, ReferenceModel
 

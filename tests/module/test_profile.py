@@ -8,8 +8,7 @@ from fractions import Fraction
 
 import pytest
 from canopen import SdoAbortedError
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from module_bench import Bench
 
 from canfb.cia301.codes import AbortCode, SdoAbort

@@ -11,8 +11,7 @@ import canopen
 import canopen.lss
 import pytest
 from canopen import RemoteNode
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame

@@ -11,8 +11,7 @@ import sys
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb import objects as od
 from canfb.cia301.frame import Frame, frame_bits

@@ -7,8 +7,7 @@ import re
 import struct
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from rich.console import Console
 
 from canfb.cia301.frame import Frame

@@ -18,14 +18,7 @@ from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import put_in_force
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import Origin, known_layouts
-from canfb.monitoring.sdo_reading import (
-    CYCLE_S,
-    LAYOUT_S,
-    QUIET_S,
-    REPEATED,
-    ModuleReader,
-    ModuleReading,
-)
+from canfb.monitoring.sdo_reading import CYCLE_S, LAYOUT_S, QUIET_S, REPEATED, ModuleReader, ModuleReading
 from canfb.monitoring.snapshot import BusSnapshot, NodeSnapshot
 from canfb.monitoring.watching import MessageReader, Watching
 from canfb.signal.conditioning import Conditioning

@@ -27,8 +27,7 @@ from canfb.signal.starts import MOST_WAITING
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
 from played import Sender
-from servo_kit import IDEAL_TABLE
-from servo_kit import cycles_of as cycles
+from servo_kit import IDEAL_TABLE, cycles_of as cycles
 
 NODE, INTERFACE = 0x20, 0x10
 BIT_RATE = 1_000_000

@@ -7,8 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.report import pictures
 from canfb.report.page import DRAWING, HEADING, PAGE, ROW, beside, figure, gallery, page, svg_file, table

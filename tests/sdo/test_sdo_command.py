@@ -10,8 +10,7 @@ from typing import Any
 
 import canopen
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.all_or_nothing import put_in_force, read_active

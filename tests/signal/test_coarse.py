@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from witness_kit import Machine, above, at, below, flags, has, moving
 
 from canfb.objects import StatusBit

@@ -15,8 +15,7 @@ from test_bounded_motion import ends_through
 
 from canfb.signal.chain import SignalChain
 from canfb.signal.estimator import Estimator
-from canfb.signal.limits import Declared as EstimatorDeclared
-from canfb.signal.limits import kept_samples
+from canfb.signal.limits import Declared as EstimatorDeclared, kept_samples
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, VALID
 from ideal_tracks import counts_at

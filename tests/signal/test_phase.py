@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
 from canfb.signal.chain import SignalChain

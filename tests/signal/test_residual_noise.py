@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from canfb.signal.residual_noise import BLOCK_SAMPLES, FEWEST_BLOCKS, REFERENCE_BLOCKS, ResidualNoise
 from canfb.signal.sample import Feedback

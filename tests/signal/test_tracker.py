@@ -6,8 +6,7 @@ from random import Random
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.signal.blocks import Scratch
 from canfb.signal.limits import max_acceleration, narrowed_residual_limit

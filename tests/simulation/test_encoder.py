@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.simulation import faults
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, Motion, ShaftEncoder, demo_encoder

@@ -7,8 +7,7 @@ import math
 import random
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.timing.answers import Answers
 from canfb.timing.grid import CALLS, LARGEST_FIRST, ROW, UNDECLARED, Grid, is_regular

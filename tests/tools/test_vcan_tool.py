@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from processes import Process
-from tools.vcan import __main__ as vcan
-from tools.vcan import uml
+from tools.vcan import __main__ as vcan, uml
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,7 @@ from typing import Any
 
 import can
 
-from canfb.bus.bus_state import RETRY_S as BUS_RETRY_S
-from canfb.bus.bus_state import BusState
+from canfb.bus.bus_state import RETRY_S as BUS_RETRY_S, BusState
 from canfb.bus.clocks import ReceiveTimes
 from canfb.bus.computing import Computation
 from canfb.bus.dispatch import RETRY_S, BusCounters, Dispatch, FrameSender, Port

@@ -13,13 +13,7 @@ from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError, CanfbError
 from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress, as_real32
-from canfb.master.all_or_nothing import (
-    Guard,
-    change,
-    put_in_force,
-    put_in_force_again,
-    read_active,
-)
+from canfb.master.all_or_nothing import Guard, change, put_in_force, put_in_force_again, read_active
 from canfb.master.samples import TrackSamples, listening
 from canfb.master.session import CORNERS, read_corners
 from canfb.signal.front_end import Corners

@@ -19,8 +19,7 @@ from canfb.cli.options import (
     option,
 )
 from canfb.cli.printing import Progress, shown_progress
-from canfb.commission.commission_run import CommissionOptions
-from canfb.commission.commission_run import commission as run
+from canfb.commission.commission_run import CommissionOptions, commission as run
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.files import prepare_folder

@@ -30,19 +30,9 @@ from canfb.commission.machine_figures import (
 from canfb.master.access import CommissioningError, as_real32
 from canfb.master.machine_watch import PERCENT, SpeedReading, in_words
 from canfb.master.samples import TrackSamples
-from canfb.master.session import (
-    AMPLITUDES,
-    CORNER,
-    JITTER,
-    KINDS,
-    SupervisionLimits,
-)
+from canfb.master.session import AMPLITUDES, CORNER, JITTER, KINDS, SupervisionLimits
 from canfb.signal.correction import Correction
-from canfb.signal.limits import (
-    CALIBRATED_PHASE_ERROR_CYCLES,
-    MOST_PHASE_ERROR_CYCLES,
-    max_acceleration,
-)
+from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES, max_acceleration
 from canfb.signal.phase import raw_phases
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.signal.witness.witness import CoarseTrack

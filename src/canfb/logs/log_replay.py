@@ -31,8 +31,7 @@ from canfb.hosting.state_files import SavedParameters
 from canfb.logfile.bus_logs import BusLogFile
 from canfb.logfile.log_files import LogError, is_log
 from canfb.module.module_config import ModuleConfig
-from canfb.replay.findings import COLUMNS as SAMPLE_COLUMNS
-from canfb.replay.findings import KINDS, Block, DriftTracks, Overview
+from canfb.replay.findings import COLUMNS as SAMPLE_COLUMNS, KINDS, Block, DriftTracks, Overview
 from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.replay_result import ReplayResult
 from canfb.report.page import beside, figure, gallery, page, sentence, table

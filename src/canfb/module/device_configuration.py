@@ -12,16 +12,7 @@ from typing import Any, NamedTuple, Protocol
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
-from canfb.device.od.dcf import (
-    TURNS,
-    Place,
-    Reals,
-    Write,
-    dcf_text,
-    encode_concise,
-    switched_off,
-    turn,
-)
+from canfb.device.od.dcf import TURNS, Place, Reals, Write, dcf_text, encode_concise, switched_off, turn
 from canfb.device.od.dictionary import Dictionary, Entry, is_accepted
 from canfb.device.storage.kept import has_default_can_id
 from canfb.eds_files import eds_path

@@ -17,12 +17,7 @@ from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.eds_files import eds_path
 from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
 from canfb.module.interval import SamplingInterval
-from canfb.module.module_config import (
-    MOST_ACCELERATION_RAD_S2,
-    MOST_DECLARED_S,
-    WRITE_LOCKS,
-    ModuleConfig,
-)
+from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_DECLARED_S, WRITE_LOCKS, ModuleConfig
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import MOST_CORNER_HZ, ChainConfig, ChainLimits
 from canfb.signal.residual_noise import ResidualNoise

@@ -32,14 +32,12 @@ from canfb.planning.planned_bus import (
 )
 from canfb.signal.limits import (
     ROUNDING,
+    RPM as RPM,
     Declared,
     cycles_per_interval_squared,
     max_acceleration,
     max_speed,
     samples_without_harm,
-)
-from canfb.signal.limits import (
-    RPM as RPM,
 )
 from canfb.signal.sample import TICK_S
 

@@ -27,12 +27,7 @@ from canfb.signal.limits import max_acceleration
 from canfb.signal.phase import FloatArray, phase_in_cycle
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant, PlantSource
-from canfb.simulation.embedded_bus import (
-    IN_SLOW_MOTION,
-    IN_TRUE_TIME,
-    SimulatedDevice,
-    WatchedSyncProducer,
-)
+from canfb.simulation.embedded_bus import IN_SLOW_MOTION, IN_TRUE_TIME, SimulatedDevice, WatchedSyncProducer
 from canfb.simulation.encoder import MotionSource, StoppableMotion
 from canfb.simulation.scenario import MotionConfig, SimulationConfig
 from canfb.sources.protocol import Source

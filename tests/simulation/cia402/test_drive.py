@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS, DriveBench, cruising
-from hypothesis import event, example, given
-from hypothesis import strategies as st
+from hypothesis import event, example, given, strategies as st
 
 from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame

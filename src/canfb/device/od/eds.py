@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 import re
 import struct
-from configparser import Error as ParserError
-from configparser import RawConfigParser
+from configparser import Error as ParserError, RawConfigParser
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache

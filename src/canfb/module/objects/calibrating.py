@@ -24,8 +24,7 @@ from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.errors import CalibrationError
 from canfb.module.objects.recorder import SampleObservers
 from canfb.module.objects.table_store import TableStore
-from canfb.objects import MeasurementCommand as Command
-from canfb.objects import MeasurementState as State
+from canfb.objects import MeasurementCommand as Command, MeasurementState as State
 from canfb.signal.chain import SignalChain
 from canfb.signal.correction import Correction
 from canfb.signal.front_end import Corners

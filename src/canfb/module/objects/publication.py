@@ -17,16 +17,7 @@ from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain
 from canfb.signal.sample import FAULT_BITS, FLAGGED_BITS, Feedback
-from canfb.signal.supervision import (
-    AMPLITUDE,
-    CALIBRATING,
-    CLIPPED,
-    FROZEN,
-    LOST,
-    MISSED,
-    RESIDUAL,
-    VALID,
-)
+from canfb.signal.supervision import AMPLITUDE, CALIBRATING, CLIPPED, FROZEN, LOST, MISSED, RESIDUAL, VALID
 
 U16, U32 = 0xFFFF, 0xFFFFFFFF
 SIXTEEN_BITS = 65536.0  # units of 1/65536 cycle
