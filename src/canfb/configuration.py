@@ -228,7 +228,6 @@ class _Reader:
         return _config_error(self._name, yaml_line(node), text)
 
     def _inside(self, node: yaml.Node, kind: type[yaml.CollectionNode], where: str, must: str) -> Any:
-        """What a mapping or a list has in it."""
         if not isinstance(node, kind):
             raise self._fail(node, f"{where} must be {must}")
         if node.tag not in (f"{_TAG}map", f"{_TAG}seq"):

@@ -113,12 +113,16 @@ def test_pdo_24_mapping_of_a_valid_pdo(tester: Tester) -> None:
         assert tester.read(pdo.mapping, 1) == before
 
 
+def map_eight(tester: Tester, pdo: Pdo, size: int) -> None:
+    entry = one(tester.eds.mappable(*pdo.access, size=size))
+    empty(tester, pdo)
+    for sub in range(1, 9):
+        tester.accept(mapping(pdo, entry.mapping, sub))
+
+
 def test_pdo_25_more_objects_than_places(tester: Tester) -> None:
     for pdo in pdos(tester):
-        entry = one(tester.eds.mappable(*pdo.access, size=1))
-        empty(tester, pdo)
-        for sub in range(1, 9):
-            tester.accept(mapping(pdo, entry.mapping, sub))
+        map_eight(tester, pdo, size=1)
         assert tester.refuse(f"2F {m(pdo.mapping)} 09", *LENGTH) == "06040042"
         assert tester.read(pdo.mapping) == 0
         tester.accept(f"2F {m(pdo.mapping)} 08")
@@ -126,10 +130,7 @@ def test_pdo_25_more_objects_than_places(tester: Tester) -> None:
 
 def test_pdo_26_more_bits_than_a_frame_has(tester: Tester) -> None:
     for pdo in pdos(tester):
-        entry = one(tester.eds.mappable(*pdo.access, size=4))
-        empty(tester, pdo)
-        for sub in range(1, 9):
-            tester.accept(mapping(pdo, entry.mapping, sub))
+        map_eight(tester, pdo, size=4)
         assert tester.refuse(f"2F {m(pdo.mapping)} 08", *LENGTH) == "06040042"
         tester.refuse(f"2F {m(pdo.mapping)} 03", *LENGTH)
         tester.accept(f"2F {m(pdo.mapping)} 02")

@@ -64,25 +64,12 @@ def test_the_pdos_are_those_of_the_eds() -> None:
 
 
 def test_the_keys_are_read_and_go_where_they_belong() -> None:
-    text = (
-        "modules: [{node_id: 32}]\n"
-        "simulation: {sync_jitter_us: 100, sync_jitter_rms_us: 5, sync_drift_ppm: -50, bus_load: 0.3,"
-        " bus_bit_rate: 500000, clock_drift_ppm: 100, aperture_jitter_ns: 20, pace: sync,"
-        " sync_period_us: 500, seed: 9}\n"
+    keys = (
+        "{sync_jitter_us: 100, sync_jitter_rms_us: 5, sync_drift_ppm: -50, bus_load: 0.3, seed: 9, "
+        "bus_bit_rate: 500000, clock_drift_ppm: 100, aperture_jitter_ns: 20, pace: sync, sync_period_us: 500}"
     )
-    simulation = parse_config(text).simulation
-    assert simulation == SimulationConfig(
-        sync_jitter_us=100,
-        sync_jitter_rms_us=5,
-        sync_drift_ppm=-50,
-        bus_load=0.3,
-        bus_bit_rate=500000,
-        clock_drift_ppm=100,
-        aperture_jitter_ns=20,
-        pace="sync",
-        sync_period_us=500,
-        seed=9,
-    )
+    simulation = parse_config(f"modules: [{{node_id: 32}}]\nsimulation: {keys}\n").simulation
+    assert simulation == SimulationConfig(**yaml.safe_load(keys))
     clock = simulation.sample_clock()
     assert (clock.ticks(1.0) - clock.ticks(0.0)) % (1 << 32) == pytest.approx(10_001_000, abs=1)
     assert clock.ticks(0.0) != 0, "nobody knows where it starts"

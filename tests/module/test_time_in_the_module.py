@@ -155,6 +155,41 @@ def test_another_adc_pdo_for_the_same_sync_is_not_counted_as_a_sample(off: float
     assert machine.right()
 
 
+@pytest.mark.parametrize("speed", [0.0, 3.3])
+def test_another_answer_delay_leaves_open_which_sync_is_answered(speed: float) -> None:
+    machine = Machine(True, ramped(speed))
+    machine.run(1, 100)
+    machine.sdo[0x2010][0x0E].raw = 2.2 * PERIOD_S
+    for k in range(100, 103):
+        machine.sync_at(k)
+    machine.run(103, 160)
+    assert machine.positions[-1].valid is not bool(speed)
+    assert machine.right()
+
+
+def test_a_sample_refused_as_an_old_one_leaves_no_older_one_valid() -> None:
+    """A SYNC comes twice, and both are answered behind the next one; TPDO1 follows SYNC."""
+    machine = Machine(False, ramped(0.9), {(0x1800, 2): 1}, times=True)
+    machine.run(1, 100)
+    machine.give_all([(100, True, 100), (100.25, False, 100), (100.62, True, 100.62)])
+    machine.give_all([(101, True, 101), (101.02, False, 100.62), (101.4, False, 101)])
+    machine.run(102, 140)
+    assert machine.right()
+
+
+def test_the_late_answer_to_an_earlier_sync_is_not_that_of_the_last_one() -> None:
+    """Also where samples come at every other place of their clock, behind a second producer."""
+    machine = Machine(True, ramped(0.7), {(0x1800, 2): 1, (0x2010, 6): 3}, times=True)
+    machine.run(1, 100)
+    for k in range(100, 106):
+        machine.cycle(k)
+        machine.sync_at(k + 0.5)
+        machine.sample(k + 0.5, k + 0.75)
+    assert machine.run(106, 140)[-1].valid
+    machine.give_all([(140, True, 140), (141, True, 141), (141.02, False, 140), (142, True, 142)])
+    assert not machine.positions[-1].valid
+
+
 # What comes of a SYNC and its sample, SYNC by SYNC; and what is counted then, by sub-index of 2012h.
 LOST_FRAMES = {
     "SYNC that nobody heard": (["none"], {1: 1}),

@@ -205,8 +205,10 @@ def test_a_count_that_was_lost_is_not_known_by_a_pulse_whose_place_never_was(how
         made.zero.set_place(Pulse(72, 0.5))
         assert passes_at(made, 70.5, LOST) == (LOST, 0)
         recovery.on_speed()
+    for at in (70.5, 300.5, 70.5 + N):  # one of them is false
+        assert passes_at(made, at, LOST) == (LOST, 0)
     assert (recovery.told, recovery.confirmed) == ([], 0)
-    assert passes_at(made, 70.5, LOST) == (LOST, 2)
+    assert passes_at(made, 70.5 + 2 * N, LOST) == (LOST, 2)
     assert recovery.confirmed == 1
 
 

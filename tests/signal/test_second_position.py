@@ -149,17 +149,33 @@ def test_it_ends_well_within_the_tolerance() -> None:
         assert has(machine.run(5), DISAGREES)[-1] is disagrees
 
 
-def test_values_that_are_late_for_good() -> None:
-    """After a SYNC without a value each may be that of the one before; at standstill that does not matter."""
-    machine = standing()
-    machine.reach(60.0)
+def late_from_now_on() -> Callable[[int], list[int]]:
+    """Each value comes with the next sample: there is none with the first."""
     queue: list[int] = []
 
     def late(value: int) -> list[int]:
         queue.append(value)
         return [queue.pop(0)] if len(queue) > 1 else []
 
-    machine.on_bus = late
+    return late
+
+
+@each("speed", [2.1, -0.9, 41.99, 2.5])
+def test_a_value_that_may_be_late_sets_no_count_that_it_would_not_set_in_time(speed: float) -> None:
+    machine = standing(EXACT, FINE)
+    machine.reach(speed)
+    before = machine.error(machine.step())
+    machine.on_bus = late_from_now_on()
+    assert [machine.spoil() for _ in range(8)][-1].status & LOST
+    off = [machine.error(one) for _ in range(90) if (one := machine.step()).valid]
+    assert off == pytest.approx([before] * len(off), abs=0.02)
+
+
+def test_values_that_are_late_for_good() -> None:
+    """After a SYNC without a value each may be that of the one before; at standstill that does not matter."""
+    machine = standing()
+    machine.reach(60.0)
+    machine.on_bus = late_from_now_on()
     assert not any(has(machine.run(200), DISAGREES))
     machine.reach(0.0)
     machine.run(20)

@@ -182,7 +182,6 @@ def _residual_limit(motion: MotionFigures, margin: float, known: float) -> tuple
 
 
 def _largest(*found: tuple[float, str]) -> tuple[float, str]:
-    """The largest value, the first one of several, and its words."""
     return max(found, key=lambda one: one[0])
 
 

@@ -216,7 +216,6 @@ class _Lines:
             raise self._failure
 
     def _lines(self) -> Iterator[tuple[int, str]]:
-        """Those that should give a frame, numbered."""
         try:
             while data := self._file.readline(LONGEST_LINE):
                 self._number += 1

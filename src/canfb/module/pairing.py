@@ -98,6 +98,8 @@ class Pairing(ProcessData):
     def _answers_changed(self) -> None:
         self.answers.forget()
         self.usual = NO_RPDO
+        if not self.timed:  # which SYNC the next sample answers is open
+            self._lose_count(1.0, self._call.now)
 
     # SYNC.
 
@@ -232,10 +234,10 @@ class Pairing(ProcessData):
     def _miss(self, samples: int, now: float) -> None:
         if not self.sampled:
             return
-        known_as_lost = self._chain.lost
+        was_lost = self._chain.lost
         # Of a position that is lost it makes no difference how long it has been.
         for left in range(min(samples, MOST_MISSED) - 1, -1, -1):
-            self._publishing.publish(self._chain.miss(), now, send=not left and not known_as_lost)
+            self._publishing.publish(self._chain.miss(), now, send=not (left or was_lost))
             for _ in range(self._interval.samples_per_sync):
                 self._observers.miss()
 
@@ -374,7 +376,6 @@ class Pairing(ProcessData):
 
     @property
     def _next_may_have_come(self) -> bool:
-        """The next SYNC was due, and the machine moves meanwhile."""
         grid = self.syncs.grid
         return self._call.received >= grid.due - grid.allowed and self._chain.slips(1.0)
 
@@ -426,11 +427,11 @@ class Pairing(ProcessData):
         is_new = last is None or feedback.samples != last.samples
         if is_new:
             self._out(sample, self._withheld(feedback) if self.unconfirmed else feedback, now)
-        elif not self._chain.crowded:
+        elif self._chain.times.passed > 0.0 and self._chain.slips(1.0):
+            self._publishing.withhold()  # the position is that of the sample before, if its time is right
+        if not (is_new or self._chain.crowded):
             self.count_bad_frame()
             return
-        elif self._chain.slips(1.0):
-            self._publishing.withhold()  # the position is that of the sample before, if its time is right
         self._sample_came += 1
         self._answer(max(place, self._accounted))
 

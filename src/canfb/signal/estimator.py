@@ -111,7 +111,6 @@ class Estimator:
             self.restart()
         else:
             self.tracker.halt()
-            self._forget()
             self._begin_places()
 
     def lose(self, cause: LossCause, starts: bool = True) -> None:
@@ -139,12 +138,10 @@ class Estimator:
         self._remember_tracker()
 
     def _begin_places(self) -> None:
-        before, last, elapsed = self.tracker.places
-        self._virtual = (before.cycles, before.phase, 1.0)
-        self.places.clear()
-        if self.tracker.step_cycles:
-            self.places.append(self._virtual)
-        self.places.append((last.cycles, last.phase, elapsed))
+        self._remember_tracker()
+        self._virtual = self.places[0]
+        if not self.tracker.step_cycles:
+            self.places.popleft()
 
     def _remember_tracker(self) -> None:
         before, last, elapsed = self.tracker.places

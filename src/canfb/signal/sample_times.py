@@ -42,6 +42,7 @@ class SampleTimes:
     __slots__ = (
         "_agrees",
         "_at",
+        "_at_count",
         "_heard_s",
         "_last",
         "_least_s",
@@ -59,7 +60,7 @@ class SampleTimes:
     def __init__(self) -> None:
         self.sync_interval_s = 0.0
         self.grid = Grid()  # The times that were right, ticks since the first one.
-        # Intervals since the last sample, by a RESTARTED time; and from a SUSPECT one to its place.
+        # Intervals since the last sample, by the last time; and from a SUSPECT one to its place.
         self.passed, self.off = 1.0, 0.0
         self.reset()
 
@@ -76,6 +77,7 @@ class SampleTimes:
         self._received_s: float | None = None  # when that was received
         self._synced_s: float | None = None  # when its SYNC was
         self._least_s = inf  # by the call of its SYNC, when the first sample was taken, at the soonest
+        self._at_count = True  # the last time that was right was at the place of its count
         self._agrees = False  # the last time that was not right was where its call was due
         self._refused_counted = 0.0  # intervals counted up to the last time that was not right
         self.waited = 0.0  # intervals without a sample since the last one with its time
@@ -139,6 +141,7 @@ class SampleTimes:
             self._take(time_100ns, 0, received_s, synced_s)
             return counted
         ticks = (time_100ns - last + HALF_TICKS) % TICKS - HALF_TICKS
+        self.passed = 0.0
         if not ticks or not self._follow_pace(ticks, counted):
             return REPEATED
         unit = self.unit_s
@@ -177,8 +180,9 @@ class SampleTimes:
                 heard = [
                     abs(one - passed_s) <= unsure_s for one in (apart_s, heard_apart_s) if one is not None
                 ]
-                # After a time that was not right the count alone is none either.
-                right = all(heard) or (right and (any(heard) or not self._refused_counted))
+                # After a time that was not right, or not at its count, the count alone is none either.
+                counts = self._at_count and not self._refused_counted
+                right = all(heard) or (right and (any(heard) or counts))
             right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
             error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
@@ -194,8 +198,13 @@ class SampleTimes:
                 time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
             )
         grid.take(self._at + ticks)
-        received_s = _bounded(received_s, heard_apart_s, passed_s)
-        self._take(time_100ns, ticks, received_s, _bounded(synced_s, apart_s, passed_s))
+        self._take(
+            time_100ns,
+            ticks,
+            _bounded(received_s, heard_apart_s, passed_s),
+            _bounded(synced_s, apart_s, passed_s),
+        )
+        self._at_count = places == round(counted)
         return intervals
 
     def _follow_pace(self, ticks: int, counted: float) -> bool:

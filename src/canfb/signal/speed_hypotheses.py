@@ -190,13 +190,13 @@ def longest_decidable_row(largest: float, phase_error: float) -> int:
     The row of m is a gap of E = m + 1 intervals, whose counts give speeds 1 / E apart, held against the
     next step within B (1 + E) / 2 + eps (2 + 2 / E): less than half of 1 / E.
     """
-    row = 1
-    while row < MOST_BAD_SAMPLES:
-        gap = row + 2.0
-        if 2.0 * (largest * (1.0 + gap) / 2.0 + phase_error * (2.0 + 2.0 / gap)) >= 1.0 / gap:
-            break
-        row += 1
-    return row
+    gaps = range(3, MOST_BAD_SAMPLES + 2)
+    decidable = [
+        gap - 1
+        for gap in gaps
+        if 2.0 * (largest * (1.0 + gap) / 2.0 + phase_error * (2.0 + 2.0 / gap)) < 1.0 / gap
+    ]
+    return max(decidable, default=1)
 
 
 class BadRow:

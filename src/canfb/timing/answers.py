@@ -90,7 +90,6 @@ class Answers:
         return fits[0][0] if len(fits) == 1 else None
 
     def _since_s(self, places: int, syncs: Syncs, period_s: float) -> float:
-        """From the last SYNC to that so many places later."""
         at_s = self.synced_s.get(syncs.place + places)
         return places * period_s if at_s is None else at_s - syncs.synced_s
 

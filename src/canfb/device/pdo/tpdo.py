@@ -174,7 +174,7 @@ def packer(slots: Sequence[Slot]) -> Pack:
     if whole is None:
         return bit_packer(slots)
     pack = whole.pack
-    if any(entry.on_read for entry in entries) or len(entries) not in (1, 2, 3):
+    if any(entry.on_read for entry in entries) or len(entries) not in (1, 3):
 
         def pack_any() -> bytes:
             try:
@@ -191,19 +191,13 @@ def packer(slots: Sequence[Slot]) -> Pack:
         except UNFIT:
             return _encoded(entries)
 
-    def pack_two() -> bytes:
-        try:
-            return pack(first.value, second.value)
-        except UNFIT:
-            return _encoded(entries)
-
     def pack_three() -> bytes:
         try:
             return pack(first.value, second.value, third.value)
         except UNFIT:
             return _encoded(entries)
 
-    return (pack_one, pack_two, pack_three)[len(entries) - 1]
+    return pack_one if len(entries) == 1 else pack_three
 
 
 def _encoded(entries: tuple[Entry, ...]) -> bytes:

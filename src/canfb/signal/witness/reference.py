@@ -55,6 +55,7 @@ class Reference:
 
     def speed_known(self) -> None:
         self._speed_known = True
+        self._first_pulse: Pulse | None = None  # of the speed before
 
     def missed(self) -> None:
         self.slipped() if self.estimator.lost else self.coarse.restart_search()
@@ -62,7 +63,7 @@ class Reference:
     def slipped(self) -> None:
         self.range_known = self._range_from_zero = self._speed_known = False
         self.coarse.disagreeing = 0
-        self._first_pulse: Pulse | None = None
+        self._first_pulse = None
         self._passed = 0.0  # since the last coarse track, before this sample; below 0: not all were taken
         self.coarse.restart_search()
 
@@ -131,6 +132,7 @@ class Reference:
                 if self.had_position and not estimator.lost:
                     estimator.lose(LossCause.PAUSE)
                 estimator.found(0, missing)
+                self._first_pulse = None
             self.recovered += bool(missing or estimator.lost)
             witness.proven = self.range_known = True
             self._range_from_zero = False
@@ -161,9 +163,8 @@ class Reference:
         # The first is as the estimator has it: the speed up to here may be known only now.
         places, before = self.estimator.places, self.estimator.tracker.places[0]
         pulse = pulse_between(before, after, place, time, elapsed, speeds.acceleration(places))
-        if pulse.direction or self.estimator.lost:
-            return pulse
-        return pulse._replace(direction=_creeping(places))
+        is_clear = pulse.direction or self.estimator.lost
+        return pulse if is_clear else pulse._replace(direction=_creeping(places))
 
     def _pulse(self, pulse: Pulse, bits: int, pair: Pair | None) -> tuple[int, int]:
         lost = self.estimator.lost
@@ -176,6 +177,9 @@ class Reference:
             return self._pulse_of_valid(pulse, bits, pair)
         # A count that was lost is not known again by a pulse whose place was never known.
         if not lost or not self.zero.knows(pulse) or (self.had_position and not self.zero.referenced):
+            return bits, 0
+        first, self._first_pulse = self._first_pulse, pulse
+        if self.had_position and (first is None or not self.zero.agree(first, pulse)):
             return bits, 0
         jump = -self.zero.error_cycles(pulse)
         if self._refutes(pair, jump):
@@ -231,6 +235,7 @@ class Reference:
         if len(found) == 1:
             self.estimator.found(0, found.pop())
             self.range_known = self._range_from_zero = True
+            self._first_pulse = None
 
 
 def lost_bits(bits: int) -> int:

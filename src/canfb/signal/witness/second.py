@@ -10,7 +10,7 @@ from canfb.signal.second_position import RANGE, SecondScale, SecondSensor, step_
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, SECOND_POSITION, VALID
 from canfb.signal.tracker import Track
 from canfb.signal.witness.reference import Reference, lost_bits
-from canfb.signal.witness.witness import PHASE_CYCLES, Pair, Witness
+from canfb.signal.witness.witness import PHASE_CYCLES, Pair, Witness, only_count
 
 MOST_LATE = 3  # intervals by which a value may be late and is still known as that
 ON_TIME_VALUES = 100  # in a row that fit their own sample: they are not late
@@ -48,12 +48,12 @@ class SecondValues:
         self._still: Pair | None = None
         self._still_pairs = 0
 
-    def take(self, values: int, increments: int) -> int | None:
+    def take(self, values: int, increments: int, samples: int) -> int | None:
         """The value of an interval with this number of ``values``, unwrapped; None: not certain."""
         self.is_ambiguous = False
+        if self._begun:
+            self.late = max(0, min(MOST_LATE, self.late + max(samples, 1) - max(values, 0)))
         if values != 1:
-            if self._begun:
-                self.late = max(0, min(MOST_LATE, self.late + 1 - max(values, 0)))
             self._on_time = 0
             self.missing += 1
             return None
@@ -143,10 +143,6 @@ class SecondPosition:
         """Since the start there were too few samples yet to know whether the machine turns."""
         return not self.witness.proven and self._samples_since_start <= 2 * START_SAMPLES
 
-    @property
-    def disagrees(self) -> bool:
-        return self.witness.disagrees
-
     def _restart_search(self) -> None:
         self.witness.restart_search()
         self._values.restart_standstill()
@@ -156,7 +152,7 @@ class SecondPosition:
 
         With just one it belongs to the last sample. ``values`` -1: it is not certain which ones they were.
         """
-        heard = self._values.take(values, increments)
+        heard = self._values.take(values, increments, self._samples)
         if self._values.missing > LONGEST_GAP or self._values.is_ambiguous:
             self._forget_origin()
         if self._values.is_ambiguous:
@@ -208,6 +204,7 @@ class SecondPosition:
                     and taken
                     and was_lost
                     and not self._values.is_stale(pair, moving=False)
+                    and not (self._reference.range_known and self._is_open(pair))
                 ):
                     jump = self._reference.find(self.witness, pair)
             elif place_bits & VALID or not self.witness.proven:
@@ -275,13 +272,23 @@ class SecondPosition:
         if may_learn and (values.stands_still(pair) or self._reference.zero.referenced):
             witness.origin, witness.firm = pair, True
         self.difference_cycles = witness.away_cycles(pair)
-        earlier = list(self._before)[-values.late :] if values.late else []
-        fits_earlier = any(witness.fits(pair._replace(cycles=c, phase=p)) for c, p, _, _ in earlier)
+        fits_earlier = any(map(witness.fits, self._earlier(pair)))
         if witness.fits(pair):
             witness.disagreeing = 0
             values.fits(fits_earlier)
         elif not fits_earlier:
             witness.disagreeing += 1
+
+    def _earlier(self, pair: Pair) -> list[Pair]:
+        """What a late value belongs to: the samples before."""
+        begin = max(0, len(self._before) - self._values.late)
+        return [pair._replace(cycles=one.cycles, phase=one.phase) for one in list(self._before)[begin:]]
+
+    def _is_open(self, pair: Pair) -> bool:
+        """A value that may be late gives another count than one that is not."""
+        limit = self.witness.limit_cycles + PHASE_CYCLES
+        away = map(self.witness.away_cycles, (pair, *self._earlier(pair)))
+        return len({only_count(one, limit) for one in away} - {None}) > 1
 
 
 def _shifted(track: Track, cycles: int) -> Track:

@@ -66,9 +66,7 @@ class ZeroPulse:
             self.forget_doubts()
             return PulseVerdict.AGREES
         for number, seen in enumerate(self._seen):
-            if seen.direction == here.direction and (
-                self._is_near(seen, here) and not self._is_again(seen, here)
-            ):
+            if self.agree(seen, here):
                 return self._confirmed(number, here)
         others = [*self._places.values(), *self._seen]
         agrees = here.direction not in self._places and all(self._is_near(one, here) for one in others)
@@ -107,6 +105,10 @@ class ZeroPulse:
         away = (here.cycles % n + here.phase - (place.cycles % n + place.phase)) % n
         error = round(away)
         return error - n if error > n // 2 else error
+
+    def agree(self, one: Pulse, here: Pulse) -> bool:
+        """They are whole revolutions apart, in one direction."""
+        return one.direction == here.direction and self._is_near(one, here) and not self._is_again(one, here)
 
     def _is_near(self, place: Pulse, here: Pulse) -> bool:
         widest = 0 if place.direction == here.direction else WIDEST_CYCLES
