@@ -11,8 +11,9 @@ from typing import Any
 
 from tools.faults.wire import clocks
 from tools.faults.wire.clocks import RATES_HZ, WHO, stalls
+from tools.faults.wire.draw import UNKNOWN_LIMIT
 from tools.faults.wire.line import TICK_S, Plan
-from tools.faults.wire.setups import Setup
+from tools.faults.wire.setups import CYCLES_PER_REVOLUTION, TWO_PI, Setup, sdo_write
 
 Change = Callable[[Plan], object]
 
@@ -259,6 +260,27 @@ def bus_off(plan: Plan) -> None:
         slot.to_module, slot.pdo_lost = False, True
 
 
+def settings_written(plan: Plan) -> None:
+    """What is declared changes while the machine moves, and holds for what it does."""
+    rng, interval_s = plan.rng, plan.options.interval_s
+    limit = max(plan.options.limit or 0.0, UNKNOWN_LIMIT) * float(rng.uniform(1.2, 3.0))
+    settings = (
+        (0x2010, 2, "f", limit * TWO_PI / CYCLES_PER_REVOLUTION / interval_s**2),
+        (0x2010, 3, "B", int(rng.integers(0, 20))),
+        (0x2010, 6, "B", int(rng.integers(1, 3))),
+        (0x2010, 9, "B", int(rng.integers(0, 8))),
+        (0x2010, 10, "B", int(rng.integers(1, 5))),
+        (0x2010, 13, "f", 0.45 * interval_s),
+        (0x2010, 14, "f", interval_s * float(rng.uniform(0.5, 3.0))),
+        (0x1006, 0, "I", round(interval_s * 1e6) * int(rng.integers(2))),
+        (0x2002, 8, "B", int(rng.integers(2))),
+    )
+    for _ in range(int(rng.integers(1, 4))):
+        at = plan.fault + float(rng.uniform(0.0, 40.0))
+        written = settings[int(rng.integers(len(settings)))]
+        plan.actions.append((at, "write", sdo_write(*written).data))
+
+
 SOME = one_of(1, 1, 1, 2, 3, 10)
 LATE_HOST = wire(host="late")
 ZERO_PULSES, COARSE, SECOND = options(extra=True), options(coarse=True), options(second=one_of(0.01, 1e-4))
@@ -285,6 +307,31 @@ def deaf(count: Callable[[Plan], int]) -> Change:
 
 losses = (UNHEARD_BY_MODULE, UNHEARD_BY_INTERFACE, lost(between(1, 3)), deaf(between(1, 7)))
 any_loss = any_of(*losses, PDO_LATE)
+ANY_FAULT = (
+    *(unheard_now_and_then, sync_stops, second_producer, period_changes, pdo_replayed, pdos_swapped, pause),
+    *(bus_off, any_loss, SYNC_DOUBLED, doubled(120.0, lambda plan: 0.7 / plan.us)),
+    slots(one_of(1, 1, 2, 5), step=3, pdo_again_us=pdo_again),
+    slots(10, pdo_late_us=periods_us(0.4, 0.9)),
+)
+ANY_FAULT_OF_TIME = (one_bad_stamp, clock_steps, clock_stands, interface_restarts)
+
+
+def two_faults(plan: Plan) -> None:
+    """One after the other, in any order, or while the first lasts.
+
+    Not a stall where nothing shows that SYNCs come twice as often in it (P1), and no SYNC that the interface
+    hears late, in place of its own (P7).
+    """
+    faults = [*ANY_FAULT, *ANY_FAULT_OF_TIME * plan.setup.times]
+    if plan.setup.fits("times|counter|stamps"):
+        faults.append(stall)
+    begin = plan.fault
+    for later in (0, int(plan.rng.integers(0, 40))):
+        plan.fault = begin + later
+        faults[int(plan.rng.integers(len(faults)))](plan)
+    plan.fault = begin
+    for slot in plan.slots:
+        slot.again = slot.again if slot.to_interface else []
 
 
 class WireClass:
@@ -442,6 +489,11 @@ CLASSES = {
     "stall, one burst": WireClass(
         clocks.stall_in_one_burst, torque=0.0, of="counter !times !stamps", survives=True
     ),
+    "two faults": WireClass(two_faults, after=260),
+    "settings written": WireClass(settings_written, any_of(any_loss, SYNC_DOUBLED, slots(0)), after=160),
+    "two faults, TPDO 1": WireClass(options(tpdo_type=1), two_faults, after=260),
+    "two faults, coarse": WireClass(COARSE, two_faults, after=260),
+    "two faults, witness": WireClass(any_of(ZERO_PULSES, SECOND), two_faults, after=260),
     "stall of all": WireClass(clocks.everything_stalls, torque=0.0, of="times !servo", survives=True),
 }
 STALLS = {

@@ -16,6 +16,7 @@ admit is **valid and wrong**. No latency is allowed. Frames without bit 0 are ne
 
 from __future__ import annotations
 
+import math
 import struct
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
@@ -152,10 +153,17 @@ class Judge:
 
     def _is_p7(self) -> bool:
         """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown until then."""
-        if self._plan.setup.times or not physics.answers_another(self._line):
+        line, shown = self._line, list[tuple[float, float]]()
+        if self._plan.setup.times or not physics.answers_another(line):
             return False
-        until = [one for _, one in self._samples() if one.now <= self._last_wrong]
-        return self._is_legal([(self._last_sync(one.pdo.time), one.position) for one in until if one.pdo])
+        for _, one in self._samples():
+            if one.pdo and one.now <= self._last_wrong:
+                heard, due = (
+                    self._last_sync(one.pdo.time),
+                    math.floor(one.pdo.time) - 1,
+                )  # slot n is due at n + 1
+                shown.append((max(heard, due, line.sample_slots[one.pdo.number]), one.position))
+        return self._is_legal(shown)
 
     def _is_p9(self) -> bool:
         """Sample times are off by no more than the wire can be, and a machine moves as was shown at them."""
@@ -239,13 +247,18 @@ class Judge:
         if cause is not None and cause.what in ("pdo", "part", "extra"):
             slot = self._last_sync(cause.time)
             samples = {cause.number, one.newest, *self._samples_of(slot, slot)}
-            return [line.positions[n] for n in samples] + self._named(samples)
+            true = [line.positions[n] for n in samples] + self._named(samples)
+            if cause.number < one.newest:  # an old one that is as good as the sample that is due (P5)
+                true += self._plan.motion.at([math.floor(cause.time)]).tolist()
+            return true
         if cause is not None and cause.what in ("sync", "foreign"):
-            sampled = self._samples_of(cause.number - 1 - int(late), cause.number)
+            sampled = list(self._samples_of(self._slot_before(cause.number) - int(late), cause.number))
             true = [line.positions[n] for n in sampled] or [
                 float(self._plan.motion.at([cause.time - 1.0])[0])
             ]
             plan = self._plan
+            if one.newest >= 0 and abs(line.sample_times[one.newest] - cause.number) <= self._tolerance:
+                sampled = [*sampled, one.newest]
             if one.newest >= 0 and physics.host_may_be_late(plan.setup, plan.options.interval_s):
                 newest = line.sample_times[one.newest]
                 true += [line.positions[one.newest], float(plan.motion.at([newest + 1.0])[0])]
@@ -262,6 +275,11 @@ class Judge:
         """The slot of the last SYNC that the module heard up to this time."""
         place = bisect_right(self._sync_times, time) - 1
         return self._sync_slots[place] if place >= 0 else -1
+
+    def _slot_before(self, slot: int) -> int:
+        """That of the SYNC before, where it is FRESH: the producer may have another period."""
+        recent = range(slot - 1, max(slot - int(FRESH), 0) - 1, -1)
+        return next((one for one in recent if self._plan.slots[one].produced), slot - 1)
 
     def _samples_of(self, first_slot: int, last_slot: int) -> range:
         slots = self._line.sample_slots

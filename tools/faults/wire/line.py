@@ -23,6 +23,7 @@ from tools.faults.wire.setups import (
     EXTRA_ID,
     NMT_ID,
     NODE,
+    SDO_RX,
     SECOND_INCREMENTS,
     SYNC_ID,
     TIMES_ID,
@@ -160,8 +161,8 @@ def lay(plan: Plan) -> Line:
             frames = configuration(plan.setup, plan.options)
             events += [Event(at, "sdo", one, 0) for one in frames]
             continue
-        command = Frame(NMT_ID, data + bytes([NODE])) if what == "nmt" else None
-        events.append(Event(at, what, command, 0))
+        commands = {"nmt": Frame(NMT_ID, data + bytes([NODE])), "write": Frame(SDO_RX, data)}
+        events.append(Event(at, what, commands.get(what), 0))
     events.sort(key=lambda one: one.time)  # those of one time as they were laid
     times, slots = [one.time for one in samplings], [one.slot for one in samplings]
     return Line(events, times, slots, positions.tolist(), named)

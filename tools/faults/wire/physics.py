@@ -20,6 +20,7 @@ LATEST_HOST_S = 5e-3
 STAMP_NOISE_S = 1e-4
 STEP_PART = 0.55  # of the uniform noise: 1.9 standard deviations
 STEP_SYNCS = 64
+EARLY = 0.45  # T: a SYNC by its jitter, at most
 
 
 def host_may_be_late(setup: Setup, interval_s: float) -> bool:
@@ -39,13 +40,14 @@ def step_note(plan: Plan, step: float) -> str:
 
 
 def unseen(plan: Plan, until: float = math.inf) -> str:
-    """P1, P3, or nothing; by the extra SYNCs ``until`` then, T: no module knows those that come later."""
+    """P1, P3, or nothing; by what comes ``until`` then, T: no module knows the rest."""
     if plan.setup.times:
         return ""
     late = [n for n, slot in enumerate(plan.slots) if slot.pdo_late_us * plan.us > 0.99]
     if not plan.options.answer_s and late and late == list(range(late[0], len(plan.slots))):
         return "P3"
-    return "P1" if not plan.setup.stamps and not plan.actions and _is_short(plan, until) else ""
+    acted = any(at <= until for at, _, _ in plan.actions)
+    return "P1" if not plan.setup.stamps and not acted and _is_short(plan, until) else ""
 
 
 def _is_short(plan: Plan, until: float) -> bool:
@@ -53,26 +55,21 @@ def _is_short(plan: Plan, until: float) -> bool:
         not one.produced or (not one.to_module and (one.pdo_lost or not one.to_interface))
         for one in plan.slots
     ]
-    runs = [sum(1 for _ in group) for bit, group in itertools.groupby(unheard) if bit]
+    end = min(max(0.0, until), plan.end)  # slot n is due at n + 1
+    known = list(itertools.takewhile(lambda n: n + 1 <= end or unheard[n], range(len(unheard))))
+    runs = [sum(1 for _ in group) for bit, group in itertools.groupby(unheard[: len(known)]) if bit]
     turn = plan.options.overflow if plan.setup.counter else 1
     if any(run % turn for run in runs):
         return False
-    slots = [slot for n, slot in enumerate(plan.slots) if n + 1 <= until]  # slot n is due at n + 1
+    slots = plan.slots[: int(end)]
     extra = 0 if plan.setup.counter else sum(to_module for s in slots for _, to_module, _ in s.again)
     return 0.0 < (sum(runs) + extra) * plan.options.interval_s <= LATEST_HOST_S
 
 
 def answers_another(line: Line) -> bool:
-    """The first PDO after some SYNC holds the sample of an earlier one (P7)."""
-    slot, first = -1, False
-    for event in line.events:
-        if event.what == "sync":
-            slot, first = event.number, True
-        elif event.what == "pdo":
-            if first and line.sample_slots[event.number] < slot:
-                return True
-            first = False
-    return False
+    """A PDO comes when that of a later SYNC than its own is due, heard or not (P7)."""
+    due = [slot + 2.0 - EARLY for slot in line.sample_slots]  # slot n is due at n + 1
+    return any(event.what == "pdo" and event.time >= due[event.number] for event in line.events)
 
 
 def is_smooth(shown: Sequence[tuple[float, float]], limit: float, whole: float) -> bool:

@@ -144,7 +144,7 @@ def plan_of(episode: Episode) -> Plan:
     wire_class.change(plan)
     if not plan.note:
         plan.note = unseen(plan)
-    if pushed:
+    if pushed and not plan.actions:  # what begins in a pause is not seen
         torque(plan)
     keep_regular(plan)
     if not setup.servo:
