@@ -54,7 +54,10 @@ FOUND = (  # each was valid and wrong
     "coarse track, any loss:plain/rx:2040001000019",
     "stamp, one bad, TPDO 1:servo:2050001000026",
     "stamp, clock steps:times-free:2050001000070",
+    "zero pulse false:servo/rx:2020001000001",
+    "settings written:counter/rx:3040001000057",
 )
+KEPT = ("PDOs behind later SYNCs:times+counter/rx:4010001000008",)  # each was lost
 SEEN = ("healthy, zero pulses", "PDO lost, 5", "PDO lost, every n-th", "SYNC unheard by interface")
 
 
@@ -193,9 +196,10 @@ def test_nothing_is_silent(name: str) -> None:
         assert play(Episode(name, setup, 5)).verdict.outcome != "wrong", setup
 
 
-@pytest.mark.parametrize("episode", FOUND)
+@pytest.mark.parametrize("episode", [*FOUND, *KEPT])
 def test_what_was_found_is_not_silent(episode: str) -> None:
-    assert play(Episode.parse(episode)).verdict.outcome in ("lost", "flagged", "kept")
+    outcome = play(Episode.parse(episode)).verdict.outcome
+    assert outcome in ("flagged", "kept") or (outcome == "lost" and episode not in KEPT)
 
 
 def test_a_speed_over_doubtful_intervals_does_not_excuse_the_next_doubt() -> None:

@@ -436,12 +436,12 @@ class Pairing(ProcessData):
         self._answer(max(place, self._accounted))
 
     def _answered_sync(self, delay_s: float) -> tuple[int, float | None]:
-        """Its place, and when it was received, None if that is open."""
+        """Its place, and when it was received, None if that is open: then it is the next one."""
         syncs, answers = self.syncs, self.answers
         later = answers.place(delay_s, syncs, self._accounted - syncs.place)
         if later is None:
             answers.has_moved(syncs.grid)
-        place = syncs.place + min(0, later or 0)
+        place = min(syncs.place, self._accounted + 1 if later is None else syncs.place + later)
         return place, None if later is None or later > 0 or syncs.extra_came else answers.synced_s.get(place)
 
     def _sample_source(self, source: LocalSource, now: float) -> None:

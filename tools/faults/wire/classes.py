@@ -277,8 +277,7 @@ def settings_written(plan: Plan) -> None:
     )
     for _ in range(int(rng.integers(1, 4))):
         at = plan.fault + float(rng.uniform(0.0, 40.0))
-        written = settings[int(rng.integers(len(settings)))]
-        plan.actions.append((at, "write", sdo_write(*written).data))
+        plan.actions.append((at, "write", sdo_write(*settings[int(rng.integers(len(settings)))]).data))
 
 
 SOME = one_of(1, 1, 1, 2, 3, 10)
@@ -310,28 +309,23 @@ any_loss = any_of(*losses, PDO_LATE)
 ANY_FAULT = (
     *(unheard_now_and_then, sync_stops, second_producer, period_changes, pdo_replayed, pdos_swapped, pause),
     *(bus_off, any_loss, SYNC_DOUBLED, doubled(120.0, lambda plan: 0.7 / plan.us)),
-    slots(one_of(1, 1, 2, 5), step=3, pdo_again_us=pdo_again),
-    slots(10, pdo_late_us=periods_us(0.4, 0.9)),
+    *(slots(one_of(1, 1, 2, 5), step=3, pdo_again_us=pdo_again), slots(10, pdo_late_us=periods_us(0.4, 0.9))),
 )
 ANY_FAULT_OF_TIME = (one_bad_stamp, clock_steps, clock_stands, interface_restarts)
 
 
 def two_faults(plan: Plan) -> None:
-    """One after the other, in any order, or while the first lasts.
-
-    Not a stall where nothing shows that SYNCs come twice as often in it (P1), and no SYNC that the interface
-    hears late, in place of its own (P7).
-    """
+    """One after the other, or while the first lasts; what no module can see of both is left out."""
     faults = [*ANY_FAULT, *ANY_FAULT_OF_TIME * plan.setup.times]
     if plan.setup.fits("times|counter|stamps"):
-        faults.append(stall)
+        faults.append(stall)  # else nothing shows SYNCs that come twice as often in it (P1)
     begin = plan.fault
     for later in (0, int(plan.rng.integers(0, 40))):
         plan.fault = begin + later
         faults[int(plan.rng.integers(len(faults)))](plan)
     plan.fault = begin
     for slot in plan.slots:
-        slot.again = slot.again if slot.to_interface else []
+        slot.again = slot.again if slot.to_interface else []  # P7
 
 
 class WireClass:
