@@ -230,7 +230,7 @@ class LostPosition:
             "coarse track: finds the count by itself, in motion too"
             if self.coarse
             else "coarse track: not mapped (2000:03 and 2000:04 in an RPDO)",
-            "zero pulse: the next one sets the count right, once coarse track or two pulses know the speed"
+            "zero pulse: two that agree set the count right, once coarse track or two pulses know the speed"
             if self.zero_pulse
             else "zero pulse: not mapped (2000:06 in an RPDO)",
             "second position: finds the count by itself if exactly one is within its tolerance"
