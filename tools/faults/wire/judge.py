@@ -3,12 +3,14 @@
 The rules, by what made the module send (times in T, true receive times):
 
 J1  an ADC PDO: the position is that of the sample in it, of the newest sample heard, or of the last SYNC.
-J2  SYNC s (synchronous TPDOs and RPDOs), or a foreign PDO after it: that of the sample of SYNC s-1, or of s.
+    Of an old PDO also the true one at the last place of SYNC (P5).
+J2  SYNC s (synchronous PDOs), or a foreign PDO after it: the sample of the SYNC before (FRESH), or of s.
     Where a late host and an unheard SYNC look alike (P2 in README.md), also that of the newest one heard.
     With 2013h, that at the SYNC itself, or one period after the sample (docs/latency.md).
 J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
     position at that very moment. So a frozen position is wrong once the machine has moved on.
-J4  a sample time that is off by no more than the wire can be (P4): also the position at the time it names.
+J4  a sample time that is off by no more than the wire can be (P4): also the position at the time it names; at
+    a SYNC also a sample that is no further from the place of the SYNC before.
 
 "Is that of" means within half a cycle. A frame with bit 0 whose position is that of no instant that the rules
 admit is **valid and wrong**. No latency is allowed. Frames without bit 0 are never wrong.

@@ -55,9 +55,9 @@ def _is_short(plan: Plan, until: float) -> bool:
         not one.produced or (not one.to_module and (one.pdo_lost or not one.to_interface))
         for one in plan.slots
     ]
-    end = min(max(0.0, until), plan.end)  # slot n is due at n + 1
-    known = list(itertools.takewhile(lambda n: n + 1 <= end or unheard[n], range(len(unheard))))
-    runs = [sum(1 for _ in group) for bit, group in itertools.groupby(unheard[: len(known)]) if bit]
+    end = min(until, plan.end)  # slot n is due at n + 1
+    known = itertools.takewhile(lambda n: n + 1 <= end or unheard[n], range(len(unheard)))
+    runs = [sum(1 for _ in group) for bit, group in itertools.groupby(unheard[n] for n in known) if bit]
     turn = plan.options.overflow if plan.setup.counter else 1
     if any(run % turn for run in runs):
         return False

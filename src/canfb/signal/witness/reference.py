@@ -163,8 +163,9 @@ class Reference:
         # The first is as the estimator has it: the speed up to here may be known only now.
         places, before = self.estimator.places, self.estimator.tracker.places[0]
         pulse = pulse_between(before, after, place, time, elapsed, speeds.acceleration(places))
-        is_clear = pulse.direction or self.estimator.lost
-        return pulse if is_clear else pulse._replace(direction=_creeping(places))
+        if pulse.direction or self.estimator.lost:
+            return pulse
+        return pulse._replace(direction=_creeping(places))
 
     def _pulse(self, pulse: Pulse, bits: int, pair: Pair | None) -> tuple[int, int]:
         lost = self.estimator.lost

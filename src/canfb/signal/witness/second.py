@@ -49,7 +49,7 @@ class SecondValues:
         self._still_pairs = 0
 
     def take(self, values: int, increments: int, samples: int) -> int | None:
-        """The value of an interval with this number of ``values``, unwrapped; None: not certain."""
+        """The value of an interval with so many ``values`` and ``samples``, unwrapped; None: not certain."""
         self.is_ambiguous = False
         if self._begun:
             self.late = max(0, min(MOST_LATE, self.late + max(samples, 1) - max(values, 0)))
