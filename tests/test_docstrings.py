@@ -17,10 +17,7 @@ UNIT = re.compile(r"_(s|hz|counts|cycles|rad|rad_s|rad_s2)$")
 REFERENCE = re.compile(r":(?:func|class|meth):`([\w.]+)`")
 EVIDENT = {"self", "cls", "args", "kwargs", "message"}
 # Gaps that are known; who closes one takes it from this list.
-KNOWN_GAPS: dict[str, set[str]] = {
-    "CorrectionTable.from_bytes": {"data"},
-    "Tracker.skip": {"elapsed"},
-}
+KNOWN_GAPS: dict[str, set[str]] = {"CorrectionTable.from_bytes": {"data"}, "Tracker.skip": {"elapsed"}}
 
 
 def public_names() -> Iterator[tuple[str, Any]]:

@@ -86,7 +86,7 @@ def test_jobs_are_done_one_after_the_other_and_what_fails_is_told(computer: Any)
     one = computer(*jobs)
     one.poll_until(lambda: not one.jobs)
     assert [None if isinstance(got, Exception) else got for got in one.results] == [
-        *(None, 3, None, None, sum(LONG)),
+        *(None, 3, None, None, sum(LONG))
     ]
     assert one.parts == [0.25, 1.0] * 2
     assert one.frames == [Frame(0x123, bytes([n])) for n in range(1, len(jobs) + 1)]

@@ -20,10 +20,7 @@ KNOWN = {
     for name, sections in zip(NAMES, NOT_FOR_A_DOWNLOAD, strict=True)
 }
 
-TRANSLATED = {
-    "ObjectType=0x2\n": "ObjectType=0x7\n",
-    "DataType=0x000F\n": "DataType=0x0009\n",
-}
+TRANSLATED = {"ObjectType=0x2\n": "ObjectType=0x7\n", "DataType=0x000F\n": "DataType=0x0009\n"}
 """eds-validate 0.3.1 ends with a traceback on an object of type DOMAIN (0x2, CiA 306): it reads the file
 with a string in place of each."""
 

@@ -131,10 +131,7 @@ def test_the_rate_can_be_set_but_not_while_it_records() -> None:
 
 @each(
     "source, value, code",
-    [
-        *((turning(), value, 0x06090030) for value in (0, 3, 255)),
-        (Still(), START, 0x08000022),
-    ],
+    [*((turning(), value, 0x06090030) for value in (0, 3, 255)), (Still(), START, 0x08000022)],
 )
 def test_other_commands_and_recording_what_is_played_from_a_file_are_refused(
     source: Source, value: int, code: int

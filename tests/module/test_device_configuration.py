@@ -279,33 +279,18 @@ def test_amplitudes_in_disorder_accept_nothing_and_are_loaded_as_they_are() -> N
 
 TABLE = wavy_table(256, 0.015)
 WITH_TABLE = [Write(0x2020, 1, TABLE.to_bytes()), write(0x2020, 3, 4, TABLE.crc32)]
-OTHER_PDOS = [
-    write(0x1802, 1, 4, 0x800003A0),
-    write(0x1A02, 1, 4, 0x20110740),  # 64 bits of a REAL32: refused
-    write(0x1A02, 1, 4, 0x20110720),
-    write(0x1A02, 2, 4, 0x20110510),
-    write(0x1A02, 0, 1, 2),
-    write(0x1802, 2, 1, 254),
-    write(0x1802, 3, 2, 15),
-    write(0x1802, 5, 2, 100),
-    write(0x1802, 1, 4, 0x400003A0),
-    write(0x1401, 1, 4, 0x80000310),
-    write(0x1601, 1, 4, 0x20000310),
-    write(0x1601, 2, 4, 0x00050008),  # a gap
-    write(0x1601, 0, 1, 2),
-    write(0x1401, 2, 1, 1),
-    write(0x1401, 1, 4, 0x310),
-]
-APPLICATION = [
-    write(0x1017, 0, 2, 500),
-    write(0x1016, 1, 4, 0x0005_0064),
-    write(0x1029, 1, 1, 2),
-    write(0x6000, 0, 2, 4),
-    write(0x6001, 0, 4, 3600),
-    write(0x6301, 1, 1, 0x0F),
-    write(0x6310, 1, 4, (1 << 32) - 200),  # -200
-    write(0x6330, 1, 2, 25),
-]
+OTHER_PDOS = [write(*one) for one in (
+    (0x1802, 1, 4, 0x800003A0), (0x1A02, 1, 4, 0x20110740),  # 64 bits of a REAL32: refused
+    (0x1A02, 1, 4, 0x20110720), (0x1A02, 2, 4, 0x20110510), (0x1A02, 0, 1, 2), (0x1802, 2, 1, 254),
+    (0x1802, 3, 2, 15), (0x1802, 5, 2, 100), (0x1802, 1, 4, 0x400003A0),
+    (0x1401, 1, 4, 0x80000310), (0x1601, 1, 4, 0x20000310), (0x1601, 2, 4, 0x00050008),  # a gap
+    (0x1601, 0, 1, 2), (0x1401, 2, 1, 1), (0x1401, 1, 4, 0x310),
+)]  # fmt: skip
+APPLICATION = [write(*one) for one in (
+    (0x1017, 0, 2, 500), (0x1016, 1, 4, 0x0005_0064), (0x1029, 1, 1, 2), (0x6000, 0, 2, 4),
+    (0x6001, 0, 4, 3600), (0x6301, 1, 1, 0x0F), (0x6310, 1, 4, (1 << 32) - 200),  # -200
+    (0x6330, 1, 2, 25),
+)]  # fmt: skip
 CONDITIONING = Conditioning(12.5, -3.25, 1.0371, 0.93, -0.0213)
 SECOND = SecondPositionConfig(increments=4096, revolutions=3, reversed=True, cob_id=0x1B0, before_bytes=3,
                               tolerance_revolutions=0.01, invalidates=True)  # fmt: skip

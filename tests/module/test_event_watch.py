@@ -131,12 +131,7 @@ def off_time(machine: Machine) -> None:
     [
         ({}, 5.0, lambda one: one.run(20, amplitude=200.0), "amplitude 200 counts outside of"),
         ({}, 5.0, lambda one: one.run(20, amplitude=2500.0), "clipped"),
-        (
-            {"stamped": False},
-            180.0,
-            late,
-            "SYNC 1.5 ms late, one may have been missed: ",
-        ),
+        ({"stamped": False}, 180.0, late, "SYNC 1.5 ms late, one may have been missed: "),
         ({"times": True}, 300.0, off_time, "position coasting: the sample time is not where it was due"),
     ],
 )

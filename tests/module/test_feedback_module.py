@@ -77,6 +77,7 @@ def test_a_sample_in_two_pdos_is_complete_with_the_second(bench: Bench) -> None:
     for _ in range(30):
         bench.sync()
         assert bench.counts(0, 1500) == []
+        bench.sdo[0x1803][2].raw = 254  # another PDO: the part that came is kept
         frames = bench.sent(Frame(0x290, struct.pack("<hhBH", 0, 1500, 0, 0)))
         _, status, _ = bench.position(frames)
     assert status == StatusBit.VALID

@@ -44,14 +44,10 @@ WRITES = {
     "refused": (0x2001, 1, "I", 0),
 }
 COUNTER_MISSED, COUNTER_BAD_FRAMES, COUNTER_DOUBLED_SYNCS = (0x2012, 1), (0x2012, 8), (0x2012, 13)
+TURNING = st.floats(0.03, 0.12) | st.floats(0.12, 3.0) | st.floats(-3.0, -0.03)
 STATUS_WORD, FLAGS = (0x2011, 1), (0x2000, 6, "B")
 # Sub-index of 2012h: the bits of the published status words that it counts.
-COUNTERS = {
-    2: Bit.RESIDUAL,
-    3: Bit.AMPLITUDE | Bit.CLIPPED,
-    4: Bit.COASTING,
-    9: Bit.CLIPPED,
-}
+COUNTERS = {2: Bit.RESIDUAL, 3: Bit.AMPLITUDE | Bit.CLIPPED, 4: Bit.COASTING, 9: Bit.CLIPPED}
 
 
 class ModuleMachine(RuleBasedStateMachine):
@@ -281,16 +277,17 @@ class ModuleMachine(RuleBasedStateMachine):
         for one in said:
             assert not one.status & Bit.VALID or self._error(one) <= PHASE_ERROR
 
-    @rule(speed=st.floats(0.1, 3.0), sign=st.sampled_from([1, -1]), pause_s=st.floats(0.05, 100.0))
-    def pause_in_motion(self, speed: float, sign: int, pause_s: float) -> None:
-        """Nobody knows how far it went: the position is lost, and stays so."""
+    @rule(speed=TURNING, pause_s=st.floats(0.1, 100.0), started=st.sampled_from([0.0, 0.5, 1.0]))
+    def pause_in_motion(self, speed: float, pause_s: float, started: float) -> None:
+        """Nobody knows how far it went until samples come again: the position is lost, and stays so."""
         self._reset()
-        self.target = sign * speed
+        self.target = speed
         self._try([("good", 80)])
         self._send(0x000, bytes([128, NODE]), 0.0005)
         assert not self.module.dictionary.entry(*STATUS_WORD).current() & Bit.VALID
         self.position += self.speed * pause_s / 0.001
-        self._send(0x000, bytes([1, NODE]), pause_s)
+        self._send(0x000, bytes([1, NODE]), pause_s * started)
+        self._send(SYNC, b"", pause_s * (1.0 - started))
         self.said = []
         for _ in range(CONFIRMED):
             self._step()

@@ -151,6 +151,20 @@ def test_what_one_configuration_saves_another_restores(before: dict[str, Any], a
     assert differing <= cob_ids, "that follow the node-ID"
 
 
+def test_a_state_that_save_accepts_is_restored() -> None:
+    """The lowest amplitude may pass the highest until that is written, too, for another full scale."""
+    store = MemoryStore()
+    one = Bench(store)
+    one.sdo[0x2001][2].raw, one.sdo[0x2001][3].raw, one.sdo[0x2040][3].raw = 0x8000, 0xC00, 7
+    one.sdo[0x1020][1].raw = 5
+    one.sdo[0x2040][3].raw = 8
+    assert one.sdo[0x1020][1].raw == 0, "a code is a parameter"
+    one.save()
+    restored = Bench(store)
+    assert restored.module.storage.faults == {}
+    assert [restored.sdo[0x2001][subindex].raw for subindex in (2, 3, 4)] == [0x8000, 0xC00, 0xC01]
+
+
 @pytest.mark.parametrize("cob_id", [0x181, 0x190, 0x57F])
 def test_a_cob_id_of_another_node_does_not_follow_the_node_id(cob_id: int) -> None:
     """That of the second encoder is of the configuration; saved by node 33 it is the same in node 32."""

@@ -80,18 +80,10 @@ def wrong_and_right(
 @pytest.mark.parametrize(
     "start",
     [
-        Start(),
-        Start(stamps=True),
-        Start(nominal=True),
-        Start(counter=True, lost=(1,)),
-        Start(heard_before=3),
-        Start(heard_before=20),
-        Start(lost=(1,)),
-        Start(lost=(2, 3)),
-        Start(nominal=True, lost=(2, 3)),
-        Start(nominal=True, lost=(6,)),
-        Start(flagged=(0,)),
-        Start(flagged=(1,)),
+        *(Start(), Start(stamps=True), Start(nominal=True), Start(counter=True, lost=(1,))),
+        *(Start(heard_before=3), Start(heard_before=20), Start(lost=(1,)), Start(lost=(2, 3))),
+        *(Start(nominal=True, lost=(2, 3)), Start(nominal=True, lost=(6,))),
+        *(Start(flagged=(0,)), Start(flagged=(1,))),
     ],
     ids=str,
 )

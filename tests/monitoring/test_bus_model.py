@@ -276,10 +276,7 @@ def test_by_the_configuration_and_the_sync_on_the_bus(
     per_sync: int, acceleration: float, limit: float, times: bool
 ) -> None:
     module = started(
-        samples_per_sync=per_sync,
-        max_acceleration_rad_s2=acceleration,
-        residual_limit=limit,
-        times=times,
+        samples_per_sync=per_sync, max_acceleration_rad_s2=acceleration, residual_limit=limit, times=times
     )
     assert shown(module).residual_limit_cycles == pytest.approx(module.limits.residual_limit, abs=1e-6)
 

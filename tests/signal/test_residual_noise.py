@@ -72,10 +72,7 @@ def test_it_is_not_used_before_it_is_known() -> None:
     assert 4 * BLOCK_SAMPLES * blocks == pytest.approx(2000, abs=8 * BLOCK_SAMPLES)
 
 
-@given(
-    scales=st.lists(st.floats(1e-6, 0.1), min_size=1, max_size=40),
-    seed=st.integers(0, 99),
-)
+@given(scales=st.lists(st.floats(1e-6, 0.1), min_size=1, max_size=40), seed=st.integers(0, 99))
 def test_no_sequence_of_faults_widens_it_beyond_twice_the_reference(scales: list[float], seed: int) -> None:
     """The first 32 blocks are the reference; whatever comes then, and however slowly it grows."""
     noise, rng = ResidualNoise(), np.random.default_rng(seed)

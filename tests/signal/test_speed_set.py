@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from canfb.objects import LossCause
+from canfb.signal.bounded_motion import BoundedMotion
 from canfb.signal.estimator import Estimator
 from canfb.signal.limits import Declared
 from canfb.signal.speed_hypotheses import SpeedHypotheses, SpeedSet
@@ -109,9 +110,9 @@ def test_one_speed_is_left_after_a_few_uneven_samples(acceleration: float, media
     for _ in range(100):
         speed = float(generator.uniform(-125.0, 125.0))
         elapsed, shown = motion(machine, speed, 0.1, 60, generator)
-        speeds = SpeedSet(acceleration, machine.phase_error, TAU)
+        speeds, bounds = SpeedSet(1000), BoundedMotion(acceleration, machine.phase_error, TAU)
         for one, position in zip(elapsed, shown, strict=True):
-            assert speeds.feed(position % 1.0, one)
+            assert speeds.feed(position % 1.0, one, bounds)
             assert speeds.has(int(np.floor(position)) - int(np.floor(shown[0])))
             if speeds.left == 1 and speeds.samples > 2:
                 break
@@ -297,10 +298,10 @@ def test_the_first_interval_may_be_the_unit_of_the_limits() -> None:
             elapsed = 1.0 + generator.uniform(-0.16, 0.16, 40)
             times = np.cumsum(elapsed) - elapsed[0]
             shown = 0.3 + 7.0 * times + 0.5 * 0.198 * times**2  # in nominal intervals
-            search = SpeedHypotheses(0.198, machine.phase_error, TAU, machine.bad_samples)
+            search = SpeedHypotheses(BoundedMotion(0.198, machine.phase_error, TAU), machine.bad_samples)
             for n, position in enumerate(shown):
                 search.feed(position % 1.0, elapsed[n] / unit)
                 if n == 0 and limit is not None:
-                    search.limit(limit, TAU)
+                    search.motion = BoundedMotion(limit, machine.phase_error, TAU)
             kept.append(search.holds(int(np.floor(shown[-1]))))
         assert all(kept) is (limit is not None)

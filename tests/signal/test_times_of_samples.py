@@ -66,10 +66,7 @@ def test_the_first_syncs_of_a_paced_interface_may_come_at_any_time() -> None:
 
 @knowledge
 @given(
-    start=starts,
-    drift=st.floats(-1e-4, 1e-4),
-    gaps=st.lists(st.integers(0, 7), max_size=40),
-    data=st.data(),
+    start=starts, drift=st.floats(-1e-4, 1e-4), gaps=st.lists(st.integers(0, 7), max_size=40), data=st.data()
 )
 def test_any_drift_wrap_and_jitter_is_measured(
     known: str, start: int, drift: float, gaps: list[int], data: st.DataObject

@@ -113,11 +113,7 @@ def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int)
     random=Random(0),
 )
 def test_same_bits_as_the_parts_called_one_by_one(
-    jitter_ticks: int | None,
-    happenings: list[tuple[str, float]],
-    speed: float,
-    bend: float,
-    random: Random,
+    jitter_ticks: int | None, happenings: list[tuple[str, float]], speed: float, bend: float, random: Random
 ) -> None:
     config = ChainConfig()
     ours, theirs = SignalChain(config, TABLE), Parts(config, TABLE)

@@ -56,6 +56,7 @@ FOUND = (  # each was valid and wrong
     "stamp, clock steps:times-free:2050001000070",
     "zero pulse false:servo/rx:2020001000001",
     "settings written:counter/rx:3040001000057",
+    "NMT pause, samples later:counter/rx:6100001000009",
 )
 KEPT = ("PDOs behind later SYNCs:times+counter/rx:4010001000008",)  # each was lost
 SEEN = ("healthy, zero pulses", "PDO lost, 5", "PDO lost, every n-th", "SYNC unheard by interface")

@@ -135,7 +135,10 @@ def configuration_read(
 
 def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes) -> DeviceConfiguration:
     entries = module.storage.entries.settings()
-    settings = tuple(Setting(entry, _as_sent(entry, read(entry))) for entry in entries)
+    settings = tuple(  # a REAL32 has fewer digits than what a configuration gives
+        Setting(one, datatypes.decode(one.data_type, datatypes.encode(one.data_type, read(one))))
+        for one in entries
+    )
     return DeviceConfiguration(
         module.node_id,
         int(module.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER).value),
@@ -143,11 +146,6 @@ def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes)
         tuple(setting for setting in settings if is_accepted(setting.entry.check_limits, setting.value)),
         table,
     )
-
-
-def _as_sent(entry: Entry, value: Any) -> Any:
-    """A REAL32 has fewer digits than what a configuration gives."""
-    return datatypes.decode(entry.data_type, datatypes.encode(entry.data_type, value))
 
 
 IDENTITY = (od.DEVICE_TYPE, od.IDENTITY_VENDOR_ID, od.IDENTITY_PRODUCT_CODE)  # what a module is known by

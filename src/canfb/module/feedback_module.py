@@ -30,7 +30,7 @@ from canfb.module.sampling import Sampling
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.correction import Correction
-from canfb.signal.sample import Feedback
+from canfb.signal.sample import TICK_S, Feedback
 from canfb.sources.protocol import Source
 from canfb.timing.answers import Answers
 from canfb.timing.syncs import Syncs
@@ -107,9 +107,9 @@ class FeedbackModule(NodeDevice):
         self._limits = Limits(dictionary, chain, interval)
         self._input = SampleInput(dictionary, self)
         self._second = SecondInput(dictionary, self, chain)
-        self._source: LocalSource | None = None
-        if source is not None:
-            self._source = LocalSource(source, self._input, lambda text: self.on_source(text))
+        self._source = (
+            None if source is None else LocalSource(source, self._input, lambda text: self.on_source(text))
+        )
         self._observers = SampleObservers()
         self._publishing = Publishing(dictionary, self, interval, self._limits, chain, self._input)
         self.observer = self.events
@@ -152,6 +152,13 @@ class FeedbackModule(NodeDevice):
         )
         for kept in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE):
             storage.entries.keep(*kept)  # a preset by its value alone: 6509h is what it led to
+        storage.entries.save_as(  # below the lowest, as it may be after another scale, a start refuses it
+            *od.ENCODER_HIGHEST_AMPLITUDE,
+            lambda: max(
+                dictionary.entry(*od.ENCODER_HIGHEST_AMPLITUDE).value,
+                dictionary.entry(*od.ENCODER_LOWEST_AMPLITUDE).value + 1,
+            ),
+        )
         for entry in dictionary:
             if entry.index in COMMANDS and entry.access == "rw":
                 storage.entries.leave_out(entry.index, entry.subindex)
@@ -248,7 +255,7 @@ class FeedbackModule(NodeDevice):
 
     def _declare_jitter(self) -> None:
         self._syncs.declare(self._sync_jitter.value, self._periods.value)
-        self.chain.declare_jitter(self._sync_jitter.value)
+        self.chain.sample_grid.declare(self._sync_jitter.value / TICK_S)
 
     def _encoder_changed(self) -> None:
         self._publishing.profile.rescale()

@@ -6,7 +6,7 @@ perhaps their time, which go to the chain as they stand in the dictionary; all o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from canfb import objects as od
 from canfb.device.core import FOLLOWED, IGNORED, NEVER, REVOKED, HeldRpdo, ProcessData
@@ -68,6 +68,7 @@ class Pairing(ProcessData):
         sample_input.on_mixed = self.count_bad_frame
         chain.on_unit = limits.unit_changed
         self.unconfirmed = 0  # Samples after a pause that are not called valid yet.
+        self.on_first: Callable[[float], None] = lambda now: None  # the first sample since OPERATIONAL
         self.begin()
 
     def begin(self) -> None:
@@ -85,6 +86,7 @@ class Pairing(ProcessData):
         # The RPDO that may bring a usual sample of the last SYNC; CAME: it has, and nothing since.
         self.usual = NO_RPDO
         self.syncs.pause()
+        self._input.begin()
         self._accounted = self._answered = self.syncs.place  # the last with a sample or a miss; a sample
 
     @property
@@ -173,9 +175,8 @@ class Pairing(ProcessData):
             self.usual = parts.usual
 
     def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[HeldRpdo]) -> int:
-        """It comes too early for the sampling, and brings no sample (2012:0D).
-
-        PDOs follow unless it is one of the bus twice; the position is withheld if the machine moves.
+        """It comes too early for the sampling, and brings no sample (2012:0D). PDOs follow unless it is one
+        of the bus twice; the position is withheld if the machine moves.
         """
         parts, syncs = self._input, self.syncs
         _count(self._duplicate_syncs)
@@ -297,7 +298,7 @@ class Pairing(ProcessData):
 
     def _look_closely(self, number: int, now: float) -> None:
         if number == self._second.number:
-            self._second.value_received()
+            self._second.values += 1
         parts = self._input
         if number == parts.usual:
             self.usual = NO_RPDO
@@ -392,8 +393,13 @@ class Pairing(ProcessData):
         self._sample_came = 0
         self._off = 0.0
 
+    def _begin_samples(self, now: float) -> None:
+        if not self.sampled:
+            self.sampled = True
+            self.on_first(now)
+
     def _complete(self, sample: Sample, now: float) -> None:
-        self.sampled = True
+        self._begin_samples(now)
         if sample.time_100ns is not None:
             self._timed(sample, now)
             return
@@ -402,9 +408,8 @@ class Pairing(ProcessData):
         self._take(sample, self._elapsed if judged else self._answer(self.syncs.place), now)
 
     def _timed(self, sample: Sample, now: float) -> None:
-        """By its time a sample is the next one, for any time of reception.
-
-        An earlier one again is not used, nor one that is too near to the last; but that one did come.
+        """By its time a sample is the next one, for any time of reception; an earlier one again is not used,
+        nor one that is too near to the last, though it did come.
         """
         call, syncs, source = self._call, self.syncs, self._source
         # Not known of a source, and of a synchronous RPDO.
@@ -447,7 +452,7 @@ class Pairing(ProcessData):
     def _sample_source(self, source: LocalSource, now: float) -> None:
         if not self.sampled:
             self._accounted = self.syncs.place - 1
-            self.sampled = True
+        self._begin_samples(now)
         sample = source.next(now)
         if sample is None:
             self._miss_to(self.syncs.place, now)

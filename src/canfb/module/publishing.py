@@ -86,10 +86,8 @@ class Publishing:
         if self._tracks.lag_intervals:
             cycles, phase = latest.place(feedback)
         scale = profile.scale
-        if scale.binary:
-            units = cycles * scale.binary + int(phase * scale.binary_factor)
-        else:
-            units = scale.units(cycles, phase)
+        binary = scale.binary
+        units = cycles * binary + int(phase * scale.binary_factor) if binary else scale.units(cycles, phase)
         self._position.value = self._fine.value = position = (units + scale.offset) % scale.total_range
         if profile.cams.follows and status & VALID:
             profile.cams.follow(position)
@@ -123,9 +121,8 @@ class Publishing:
     def _is_starting(self, feedback: Feedback) -> bool:
         """Sample times, or the other sensor, have yet to confirm a start: no fault."""
         second = self._chain.second
-        if second is not None and second.is_waiting:
-            return True
-        return self._chain.searches and not feedback.status & FLAGGED_BITS & ~COASTING
+        waits = second is not None and second.is_waiting
+        return waits or (self._chain.searches and not feedback.status & FLAGGED_BITS & ~COASTING)
 
     def count(self, between: Sequence[Feedback], now: float) -> None:
         for feedback in between:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from canfb.device.core import NEVER
-from canfb.module.interval import InterfaceGrid, SamplingInterval
+from canfb.module.interval import AGREES, InterfaceGrid, SamplingInterval
 from canfb.module.pairing import Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
@@ -30,7 +30,9 @@ class Sampling:
     ) -> None:
         self._syncs, self._interval, self._grid, self._limits = syncs, interval, grid, limits
         self._chain, self._pairing, self._publishing = chain, pairing, publishing
-        self._paused_s = 0.0
+        self._paused_s = self._interval_s = 0.0  # when counting ended; the interval until then
+        self._paused = False  # since then, up to the next sample
+        pairing.on_first = self._go_on
         publishing.events.unconfirmed = self._why_unconfirmed
 
     def _why_unconfirmed(self) -> str:
@@ -59,18 +61,29 @@ class Sampling:
     def pause(self, now: float) -> None:
         """OPERATIONAL ends, or samples come in another way: what SDO reads is not valid."""
         self._publishing.withhold()
-        self._paused_s = self._syncs.synced_s if self._syncs.begun else now
+        if not self._paused:
+            self._paused_s = self._syncs.synced_s if self._syncs.begun else now
+            self._interval_s = self._interval.seconds
         self._pairing.begin()
 
     def resume(self, now: float) -> None:
-        """OPERATIONAL, for the first time or again: nothing was counted meanwhile."""
-        chain, pairing, interval_s = self._chain, self._pairing, self._interval.seconds
+        """OPERATIONAL, for the first time or again."""
+        chain, pairing = self._chain, self._pairing
         pairing.begin()
         pairing.unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
-        # Since the last SYNC, whose sample may not have come any more.
-        chain.resume((now - self._paused_s) / interval_s + 1.0 if interval_s else NEVER)
+        self._paused = True
+        if not chain.begun:
+            self._go_on(now)
         self._publishing.prediction.pause(self._publishing.last)
         self._publishing.withhold()
+
+    def _go_on(self, now: float) -> None:
+        """The first sample: nothing was counted since the last SYNC, whose sample may not have come."""
+        if self._paused:
+            self._paused = False
+            before_s, interval_s = self._interval_s, self._interval.seconds
+            same = abs(interval_s - before_s) <= AGREES * before_s
+            self._chain.resume((now - self._paused_s) / before_s + 1.0 if before_s and same else NEVER)
 
     def configured(self, samples_per_sync: int, timed: bool) -> None:
         """PDO parameters or the NMT state have changed: samples for each SYNC, ``timed`` or not."""

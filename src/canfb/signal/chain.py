@@ -15,7 +15,7 @@ from canfb.signal.chain_config import ChainConfig, ChainLimits, with_correction
 from canfb.signal.correction import AnyTable, Correction
 from canfb.signal.front_end import SAME_INTERVAL
 from canfb.signal.pauses import Pauses
-from canfb.signal.sample import TICK_S, Feedback, Sample, in_order
+from canfb.signal.sample import Feedback, Sample, in_order
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Extras, Stages
@@ -122,8 +122,8 @@ class SignalChain:
 
     @property
     def begun(self) -> bool:
-        """There was a sample since the start."""
-        return self.stages.estimator.tracker.started
+        """There was a sample since the start, or the machine turned at the reset before it."""
+        return self.stages.estimator.tracker.started or self._pauses.turned > 0.0
 
     @property
     def loss_cause(self) -> LossCause:
@@ -179,10 +179,6 @@ class SignalChain:
         unit_s = self.unit_s or self._untimed_unit_s
         if unit_s != self.tracks.unit_s:
             self.stages.use_unit(unit_s)
-
-    def declare_jitter(self, jitter_s: float) -> None:
-        """No sample is further from its place on the grid than ``jitter_s``, seconds; 0.0: 0.45 intervals."""
-        self.sample_grid.declare(jitter_s / TICK_S)
 
     def forget_times(self) -> None:
         """Another interface may send the sample times from now on, by another clock and at another rate."""

@@ -209,11 +209,7 @@ class Doubt:
         self._only_missing = True
         self._contradicted: int | None = None  # number of the last entry that no candidate could take
         self._rows = 0  # contradictions
-        self._followed = 0.0  # intervals with samples
-
-    @property
-    def is_without_samples(self) -> bool:
-        return not self._followed
+        self.followed = 0.0  # intervals with samples
 
     def skip(self, elapsed: float, flagged: bool) -> None:
         """No sample, or one that failed its checks (``flagged``), ``elapsed`` intervals later."""
@@ -232,7 +228,7 @@ class Doubt:
 
     def take(self, phase: float, elapsed: float, refused: bool = False) -> Decision:
         """A good sample ``elapsed`` intervals later; ``refused``: over the limit of usual samples."""
-        self._followed += elapsed
+        self.followed += elapsed
         self._enter(phase, elapsed)
         number = len(self.log) - 1
         if not self._follow([] if refused else self._advance(self.candidates, number)):
@@ -307,7 +303,7 @@ class Doubt:
         ):
             # No later phase tells them apart.
             return Decision(lost=LossCause.AMBIGUOUS)
-        if self._followed > MOST_INTERVALS:
+        if self.followed > MOST_INTERVALS:
             return Decision(lost=LossCause.UNDECIDED)
         return UNDECIDED
 

@@ -258,7 +258,7 @@ class Estimator:
 
     def _start_places(self) -> list[Place]:
         places, doubt = self.places, self._doubt
-        in_doubt = doubt is not None and not doubt.is_without_samples
+        in_doubt = doubt is not None and doubt.followed > 0.0
         assumed = self._virtual is not None and not (self._known or self.lost)
         if not assumed or in_doubt or not 0 < len(places) <= START_SAMPLES:
             return []

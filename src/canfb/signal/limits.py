@@ -205,11 +205,8 @@ class Declared:
 
     def _motion(self, *, assumed: float, usual: bool) -> BoundedMotion:
         known, weights = self.acceleration, 2.0**ORDER
-        if known is None:
-            largest = max(0.0, self.residual_limit - weights * self.phase_error)
-        else:
-            largest = min(known, self.residual_limit)
-        error = self.phase_error
+        widest, error = max(0.0, self.residual_limit - weights * self.phase_error), self.phase_error
+        largest = widest if known is None else min(known, self.residual_limit)
         if usual:
             error = max(0.0, self.residual_limit - largest) / weights
         elif known is None:

@@ -26,7 +26,7 @@ class Pauses:
 
     def forget(self) -> None:
         # The speed at a reset, cycles per interval; inf: the position was lost, and the machine may turn.
-        self._turned = 0.0
+        self.turned = 0.0
 
     def slips(self, intervals: float) -> bool:
         """Within these intervals the machine moves so far that its phase could mislead."""
@@ -44,10 +44,10 @@ class Pauses:
     def reset(self) -> None:
         stages, estimator = self._stages, self._stages.estimator
         if estimator.lost:
-            self._turned = 0.0 if estimator.still.samples >= STILL_SAMPLES else inf
+            self.turned = 0.0 if estimator.still.samples >= STILL_SAMPLES else inf
         elif estimator.tracker.started:
             step = abs(estimator.tracker.step_cycles)
-            self._turned = step if step > STILL_CYCLES else 0.0
+            self.turned = step if step > STILL_CYCLES else 0.0
         stages.restart()
 
     def resume(self, intervals: float) -> bool:
@@ -56,7 +56,7 @@ class Pauses:
         The rules are in :meth:`canfb.signal.chain.SignalChain.resume`.
         """
         stages, estimator = self._stages, self._stages.estimator
-        if estimator.lost or self._turned:
+        if estimator.lost or self.turned:
             self._start_again(intervals)
             return False
         stages.resume((estimator.in_doubt and not stages.was_valid) or self._could_move(intervals))
@@ -74,8 +74,8 @@ class Pauses:
             return
         declared = estimator.declared
         acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
-        fastest = self._turned + acceleration * intervals  # NaN: of no acceleration for no known time
-        waits = self._turned > 0.0 and not fastest < FASTEST_STANDSTILL_CYCLES
+        fastest = self.turned + acceleration * intervals  # NaN: of no acceleration for no known time
+        waits = self.turned > 0.0 and not fastest < FASTEST_STANDSTILL_CYCLES
         self.forget()
         stages.restart()
         if waits:

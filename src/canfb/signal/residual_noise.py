@@ -73,9 +73,7 @@ class ResidualNoise:
         accelerations.append(feedback.acceleration_cycles)
         self._eighths |= 1 << int(feedback.phase * 8.0)
         self._speed_cycles = feedback.speed_cycles
-        if len(accelerations) < BLOCK_SAMPLES + 2:
-            return False
-        return self._complete(feedback.samples)
+        return len(accelerations) >= BLOCK_SAMPLES + 2 and self._complete(feedback.samples)
 
     def _begin(self) -> None:
         self._accelerations: list[float] = []

@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canfb.signal.bounded_motion import BoundedMotion
 from canfb.signal.doubt import FALSE_ACCEPTANCE
 from canfb.signal.limits import MOST_BAD_SAMPLES
 from canfb.signal.phase import FloatArray
@@ -43,6 +44,11 @@ BASELINES = ((1, 2), (1, 3), (2, 3), (2, 4))  # samples back; the first one coun
 SAMPLES_BEFORE = 3  # the newest: as far as these reach back
 
 
+_ORDER = np.array(
+    [10**15 + 37, 10**10 + 19, 10**5 + 3, 1]
+)  # of equal columns one is enough, and all are safe
+
+
 class Found(NamedTuple):
     """The last two samples by the one speed left: counts from the first sample on, phases, intervals."""
 
@@ -54,31 +60,27 @@ class Found(NamedTuple):
 class SpeedSet:
     """Follows all speeds up to ``most`` cycles per interval from the next sample on.
 
-    ``largest`` is the acceleration B, cycles per interval^2, ``phase_error`` eps, cycles, ``instant_error``
-    tau, intervals.
+    chance       speeds that random phases would leave
+    samples      since the start; ``taken``: after a row of bad ones
+    waits        bad ones still to come
+    has_assumed  the speed assumed at the start is left, or was before the row
     """
 
-    def __init__(self, largest: float, phase_error: float, instant_error: float) -> None:
-        self._largest, self._error, self._instant_error = largest, phase_error, instant_error
-        most = USUAL_SPEED if not instant_error else int(min(MOST_SPEED, MOST_TIME_CYCLES / instant_error))
+    def __init__(self, most: int) -> None:
         self._most = most
         # The last samples, newest first: cycle counts of the speeds that are left, phase, intervals since.
         self._counts: list[npt.NDArray[np.int64]] = []
         self._phases: list[float] = []
         self._since: list[float] = []
         self._gap = 0.0
-        self.chance = 2.0 * most + 1.0
-        """Speeds that random phases would leave."""
         self._origin: tuple[float, float] | None = None
-        self.samples = 0
-        """Since the start."""
+        self.chance = 2.0 * most + 1.0
+        self.samples = self.taken = self.waits = 0
+        self.has_assumed = True
 
     @property
     def left(self) -> int:
         return len(self._counts[0]) if self._counts else 1
-
-    def limit(self, largest: float, instant_error: float) -> None:
-        self._largest, self._instant_error = largest, instant_error
 
     def skip(self, elapsed: float) -> None:
         self._gap += elapsed
@@ -87,20 +89,23 @@ class SpeedSet:
         """The first sample; its ``phase`` may be off by half a cycle."""
         self._origin, self._gap = (phase, 0.0), 0.0
 
-    def copy(self) -> SpeedSet:
+    def before_row(self, samples: int) -> SpeedSet:
+        """The same, if so many samples from here on are bad."""
         other = copy(self)
-        other._counts, other._phases, other._since = self._counts[:], self._phases[:], self._since[:]
+        other._counts, other.waits, other.taken = self._counts[:], samples, 0
         return other
 
     def unite(self, other: SpeedSet) -> None:
         both = np.hstack([np.stack(self._counts), np.stack(other._counts)])
-        both = both[:, np.lexsort(both[::-1])]  # np.unique(axis=1) takes four times as long
+        both = both[
+            :, np.argsort(_ORDER[: len(both)] @ both, kind="stable")
+        ]  # np.lexsort takes four times as long
         differs = (both[:, 1:] != both[:, :-1]).any(axis=0)
         self._counts = list(both[:, np.append(True, differs)])
         self.chance += other.chance
 
-    def feed(self, phase: float, elapsed: float) -> bool:
-        """A sample, ``elapsed`` intervals after the last entry; False: it cannot be decided any more."""
+    def feed(self, phase: float, elapsed: float, motion: BoundedMotion) -> bool:
+        """:meth:`SpeedHypotheses.feed`, of a ``motion``."""
         elapsed += self._gap
         self._gap = 0.0
         self.samples += 1
@@ -116,7 +121,7 @@ class SpeedSet:
             if self._origin is not None:
                 counts = self._from_origin(*self._origin, counts, phase, elapsed)
         else:
-            off, radius = self._window(1, 2, phase)
+            off, radius = self._window(1, 2, phase, motion)
             lowest = np.ceil(off - radius)
             possible = np.maximum(np.floor(off + radius) - lowest + 1.0, 0.0)
             if not possible.sum() <= MOST_MOTIONS:
@@ -125,7 +130,7 @@ class SpeedSet:
             counts = self._branch(lowest.astype(np.int64), possible.astype(np.int64))
             for later, earlier in BASELINES[1:]:
                 if earlier <= len(self._counts):
-                    off, radius = self._window(later, earlier, phase)
+                    off, radius = self._window(later, earlier, phase, motion)
                     counts = self._keep(np.abs(off + self._counts[later - 1] - counts) <= radius, counts)
         self._counts = [counts, *self._counts[:SAMPLES_BEFORE]]
         self._phases = [phase, *self._phases[:SAMPLES_BEFORE]]
@@ -151,7 +156,9 @@ class SpeedSet:
         self._counts = [one[kept] for one in self._counts]
         return counts[kept]
 
-    def _window(self, first: int, second: int, phase: float) -> tuple[FloatArray, FloatArray]:
+    def _window(
+        self, first: int, second: int, phase: float, motion: BoundedMotion
+    ) -> tuple[FloatArray, FloatArray]:
         """How far the line through two samples is ahead of this phase, and how far it may be off a count;
         for each speed, in cycles from the count of sample ``first``, whose place counts from the newest.
         """
@@ -159,9 +166,9 @@ class SpeedSet:
         elapsed = self._since[later]
         apart = self._since[earlier] - elapsed
         step = (self._counts[later] - self._counts[earlier]) + (self._phases[later] - self._phases[earlier])
-        motion = self._largest * elapsed * (elapsed + apart) / 2.0
+        bend = motion.largest * elapsed * (elapsed + apart) / 2.0
         weights = 2.0 + 2.0 * elapsed / apart
-        radius = motion + weights * (self._error + self._instant_error * np.abs(step) / apart)
+        radius = bend + weights * (motion.phase_error + motion.instant_error * np.abs(step) / apart)
         return np.asarray(step * (elapsed / apart) + (self._phases[later] - phase)), np.asarray(radius)
 
     @property
@@ -199,31 +206,16 @@ def longest_decidable_row(largest: float, phase_error: float) -> int:
     return max(decidable, default=1)
 
 
-class BadRow:
-    """``speeds`` if the m samples from here on are bad."""
-
-    def __init__(self, speeds: SpeedSet, samples: int, has_assumed: bool) -> None:
-        self.speeds = speeds
-        self.waits = samples
-        """Samples of the row that are still to come."""
-        self.taken = 0
-        """Samples after the row."""
-        self.has_assumed = has_assumed
-        """Before the row the speed that was assumed at the start was left."""
-
-
 class SpeedHypotheses:
-    """Follows all speeds from the next sample on; ``bad_samples`` is m.
+    """Follows all speeds of a ``motion`` from the next sample; ``bad_samples`` is m."""
 
-    The others are those of :class:`SpeedSet`.
-    """
-
-    def __init__(self, largest: float, phase_error: float, instant_error: float, bad_samples: int) -> None:
-        self._good: SpeedSet | None = SpeedSet(largest, phase_error, instant_error)
-        self._rows: list[BadRow] = []
-        self._has_assumed = True
+    def __init__(self, motion: BoundedMotion, bad_samples: int) -> None:
+        self.motion = motion
+        error = motion.instant_error
+        most = USUAL_SPEED if not error else int(min(MOST_SPEED, MOST_TIME_CYCLES / error))
+        self._good = [SpeedSet(most)]  # while no sample was bad
+        self._rows: list[SpeedSet] = []  # begun at a sample each, the first one at the oldest
         self._bad_samples = bad_samples
-        self._largest, self._least = largest, largest + 4.0 * phase_error
         self._largest_off = self._squares = 0.0
         self._even = 0  # samples in a row whose times decide nothing
         self._gap = self._elapsed = 0.0
@@ -235,72 +227,58 @@ class SpeedHypotheses:
         self.telling = False
         """The times are uneven enough to tell speeds apart."""
         self.silent = False
-        """They are so even that they never will."""
+        """They never will be."""
 
     def expect_bad(self, bad_samples: int) -> None:
         for row in self._rows:
             row.waits += bad_samples - self._bad_samples
         self._bad_samples = bad_samples
 
-    def limit(self, largest: float, instant_error: float) -> None:
-        self._least += largest - self._largest
-        self._largest = largest
-        for one in (self._good, *(row.speeds for row in self._rows)):
-            if one is not None:
-                one.limit(largest, instant_error)
-
     def skip(self, elapsed: float) -> None:
         self._gap += elapsed
-        if self._good is not None:
-            self._good.skip(elapsed)
-        for row in self._rows:
-            row.speeds.skip(elapsed)
+        for one in (*self._good, *self._rows):
+            one.skip(elapsed)
 
     def feed(self, phase: float, elapsed: float) -> bool:
         """A sample, ``elapsed`` intervals after the last entry; False: it cannot be decided any more."""
         self.samples += 1
         self._look_at_times(elapsed + self._gap)
         self._gap = 0.0
-        if self._good is not None:
-            self._rows.append(BadRow(self._good.copy(), self._bad_samples, self._has_assumed))
-        decidable = all(self._feed_row(row, phase, elapsed) for row in self._rows)
-        if self._good is not None:
-            decidable &= self._good.feed(phase, elapsed) or not self._good.left
-            self._good = self._good if self._good.left else None
-        if not decidable:  # too many motions in one of them
+        self._rows += [one.before_row(self._bad_samples) for one in self._good]
+        decidable = [self._feed(one, phase, elapsed) for one in (*self._good, *self._rows)]
+        if not all(decidable):  # too many motions in one of them
             return False
-        self._rows = [row for row in self._rows if row.speeds.left]
+        self._good = [one for one in self._good if one.left]
+        self._rows = [row for row in self._rows if row.left]
         past = [row for row in self._rows if row.taken > SAMPLES_BEFORE]
         for row in past[1:]:
-            past[0].speeds.unite(row.speeds)
+            past[0].unite(row)
             self._rows.remove(row)
         self.left = self._motions_left()
         self._alone = self._alone + 1 if self.left == 1 else 0
         return bool(self.left)
 
-    def _feed_row(self, row: BadRow, phase: float, elapsed: float) -> bool:
-        speeds = row.speeds
-        if not row.waits:
-            row.taken += 1
-            return speeds.feed(phase, elapsed) or not speeds.left
-        row.waits -= 1
+    def _feed(self, one: SpeedSet, phase: float, elapsed: float) -> bool:
+        if not one.waits:
+            one.taken += 1
+            return one.feed(phase, elapsed, self.motion) or not one.left
+        one.waits -= 1
         if self.samples == 1:
-            speeds.skip_first(phase)
+            one.skip_first(phase)
         else:
-            speeds.skip(elapsed)
+            one.skip(elapsed)
         return True
 
     @property
     def _sets(self) -> list[SpeedSet]:
-        good = [] if self._good is None else [self._good]
-        return good + [row.speeds for row in self._rows if row.taken]
+        return [*self._good, *(row for row in self._rows if row.taken)]
 
     def _motions_left(self) -> int:
-        taken, waiting = self._sets, [row.speeds for row in self._rows if not row.taken]
+        taken, waiting = self._sets, [row for row in self._rows if not row.taken]
         most = max((one.left for one in (*taken, *waiting)), default=0)
         if most != 1:
             return most
-        if any(one.samples < 2 for one in (*taken, *waiting)) or (waiting and self._good is None):
+        if any(one.samples < 2 for one in (*taken, *waiting)) or (waiting and not self._good):
             return 2  # each set has one, but not up to the last sample
         return len({one.counts[0] for one in taken})
 
@@ -309,10 +287,11 @@ class SpeedHypotheses:
         off, self._elapsed = abs(elapsed - self._elapsed), elapsed
         if self.samples < 3:
             return
+        least = self.motion.largest + 4.0 * self.motion.phase_error
         self._largest_off, self._squares = max(self._largest_off, off), self._squares + off * off
         known = self.samples >= KNOWN_SAMPLES
-        q = (math.sqrt(self._squares / (self.samples - 2)) if known else self._largest_off) / self._least
-        self._even = self._even + 1 if off < SILENT * self._least else 0
+        q = (math.sqrt(self._squares / (self.samples - 2)) if known else self._largest_off) / least
+        self._even = self._even + 1 if off < SILENT * least else 0
         self.telling, self.silent = q >= TELLING, q < SILENT or self._even >= EVEN_SAMPLES
 
     @property
@@ -323,12 +302,13 @@ class SpeedHypotheses:
     @property
     def found(self) -> Found | None:
         sets = self._sets
-        chance = sum(one.chance for one in sets) if self._good is None else self._good.chance
+        chance = sum(one.chance for one in self._good or sets)
         return sets[0].last_two if self.is_decided and chance <= FALSE_ACCEPTANCE else None
 
     def holds(self, count: int) -> bool | None:
         """A speed that is left has this count, that of the speed assumed; None: not known yet."""
-        self._has_assumed = self._good is not None and self._good.has(count)
+        for good in self._good:
+            good.has_assumed = good.has(count)
         if any(one.has(count) for one in self._sets):
             return True
         waiting = any(row.has_assumed for row in self._rows if not row.taken)

@@ -270,10 +270,7 @@ class Stages:
         estimator, reference = self.estimator, self.reference
         estimator.timed = timed
         measured = not (faults or bad) and phase == phase
-        if measured:
-            track, bits = estimator.good(phase, elapsed)
-        else:
-            track, bits = estimator.bad(elapsed, missed=unplaced)
+        track, bits = estimator.good(phase, elapsed) if measured else estimator.bad(elapsed, missed=unplaced)
         if bits & LOST and (not measured or bits & RESIDUAL):
             reference.slipped()
         jump = 0

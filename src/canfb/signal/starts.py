@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 
+from canfb.signal.bounded_motion import BoundedMotion
 from canfb.signal.limits import Declared
 from canfb.signal.speed_hypotheses import Found, SpeedHypotheses, longest_decidable_row
 from canfb.signal.speeds import Place
@@ -71,7 +72,9 @@ class Starts:
         largest = declared.usual.largest
         if self.active is not None:  # the limit is in the unit of now, and the search in that of its begin
             unit = self._unit
-            self.active.limit(largest * unit * unit, declared.instant_error / unit)
+            self.active.motion = BoundedMotion(
+                largest * unit * unit, declared.phase_error, declared.instant_error / unit
+            )
             if self._acceleration_waits and self.active.samples == 1:
                 self.active.expect_bad(_row(declared, largest))
             return True
@@ -85,9 +88,8 @@ class Starts:
             return False
         if not (lost or places):
             return False
-        self.active = speeds = SpeedHypotheses(
-            largest, declared.phase_error, declared.instant_error, _row(declared, largest)
-        )
+        motion = BoundedMotion(largest, declared.phase_error, declared.instant_error)
+        self.active = speeds = SpeedHypotheses(motion, _row(declared, largest))
         self._unit = 1.0
         if places:
             self.origin = places[0][0]

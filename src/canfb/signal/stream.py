@@ -199,10 +199,8 @@ class Stream:
         if not self._supervised:
             raw = result.phase if self._table is None else scratch.raw
         with np.errstate(over="ignore", invalid="ignore"):
-            if self._conditioning is None:
-                s, c = sine, cosine
-            else:
-                s, c = self._conditioning.apply_block(sine, cosine, scratch)
+            conditioning = self._conditioning
+            s, c = conditioning.apply_block(sine, cosine, scratch) if conditioning else (sine, cosine)
             if self._supervised:
                 _amplitudes(s, c, amplitude, scratch)
             raw_phase_block(s, c, raw, scratch)

@@ -67,9 +67,7 @@ class DriveBench:
         self.source = Tampering(PlantSource(ShaftEncoder(encoder, cycles_per_revolution), self.plant))
         self.interface = EncoderInterface(INTERFACE_ID, self.source, clock=SampleClock(100.0))
         config = ModuleConfig(
-            node_id=MODULE_ID,
-            encoder_interface=INTERFACE_ID,
-            cycles_per_revolution=cycles_per_revolution,
+            node_id=MODULE_ID, encoder_interface=INTERFACE_ID, cycles_per_revolution=cycles_per_revolution
         )
         self.module = FeedbackModule(config)
         self.drive = ServoDrive(self.plant, config)

@@ -203,11 +203,7 @@ def test_the_torque_follows_its_command_with_the_time_constant() -> None:
     assert free.speed_rad_s == pytest.approx(impulse / 1e-3, rel=1e-9)
 
 
-@given(
-    st.lists(st.floats(1e-6, 3e-3), min_size=1, max_size=8),
-    st.floats(-0.5, 0.5),
-    st.floats(-50, 50),
-)
+@given(st.lists(st.floats(1e-6, 3e-3), min_size=1, max_size=8), st.floats(-0.5, 0.5), st.floats(-50, 50))
 def test_how_the_time_is_cut_makes_no_difference_that_matters(
     parts: list[float], command: float, speed: float
 ) -> None:

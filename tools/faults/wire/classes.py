@@ -393,8 +393,7 @@ CLASSES = {
     "SYNC, second producer": WireClass(second_producer),
     "SYNC period changes": WireClass(period_changes, after=150),
     "1006h wrong": WireClass(
-        options(period=True, period_factor=one_of(0.5, 2.0, 0.25, 4.0, 1.5, 0.9)),
-        torque=0.0,
+        options(period=True, period_factor=one_of(0.5, 2.0, 0.25, 4.0, 1.5, 0.9)), torque=0.0
     ),
     "PDO doubled": WireClass(slots(one_of(1, 1, 2, 5), step=3, pdo_again_us=pdo_again)),
     "PDO replayed": WireClass(pdo_replayed),
@@ -402,9 +401,7 @@ CLASSES = {
     "PDOs late for good": WireClass(slots(None, pdo_late_us=lambda plan: 1.0 / plan.us)),
     "PDOs behind later SYNCs": WireClass(clocks.answers_behind_later_syncs, of="stamps", survives=True),
     "PDOs behind later SYNCs, some lost": WireClass(
-        clocks.answers_behind_later_syncs,
-        any_of(*losses),
-        of="stamps",
+        clocks.answers_behind_later_syncs, any_of(*losses), of="stamps"
     ),
     "PDO late": WireClass(PDO_LATE),
     "PDOs late by 1 and 2": WireClass(pdos_swapped),
@@ -417,8 +414,7 @@ CLASSES = {
         clocks.everything_stalls, options(tpdo_type=1), torque=0.0, of="times !servo"
     ),
     "stamps, 10 % bad": WireClass(
-        slots(40, stamp=lambda plan: any_stamp(plan) if plan.rng.uniform() < 0.1 else None),
-        of="times",
+        slots(40, stamp=lambda plan: any_stamp(plan) if plan.rng.uniform() < 0.1 else None), of="times"
     ),
     "stamp, clock steps": WireClass(clock_steps, of="times"),
     "stamp, clock stands": WireClass(clock_stands, of="times"),
@@ -440,8 +436,7 @@ CLASSES = {
     "bus-off, 1029h = 1": WireClass(options(stays=True), bus_off, torque=0.0, after=110),
     # Counts that pass for a sample are a legal motion, off by less than the residual limit.
     "foreign ADC PDO": WireClass(
-        wire(tolerance=0.9),
-        slots(one_of(1, 1, 10), foreign_us=periods_us(0.05, 0.95)),
+        wire(tolerance=0.9), slots(one_of(1, 1, 10), foreign_us=periods_us(0.05, 0.95))
     ),
     "interface restarts": WireClass(interface_restarts),
     "RPDO 1, TPDO 254": WireClass(options(rpdo_type=1, tpdo_type=254), any_loss),
@@ -474,6 +469,7 @@ CLASSES = {
     "lost, then NMT": WireClass(clocks.lost_then_started, torque=0.0, of="!servo"),
     "reset node in motion": WireClass(clocks.reset_in_motion, torque=0.0, of="!servo"),
     "NMT pause, short": WireClass(clocks.short_pause, torque=0.0, of="!servo"),
+    "NMT pause, samples later": WireClass(clocks.samples_later, torque=0.0, of="!servo"),
     "deaf, creeping": WireClass(clocks.creeping_deaf, torque=0.0, of="times !servo !counter"),
     "PDO lost, 1, at the limit": WireClass(clocks.one_lost_at_the_limit, torque=0.0, of="times !servo"),
     "1006h ten times, PDO lost": WireClass(

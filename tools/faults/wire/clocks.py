@@ -173,6 +173,17 @@ def short_pause(plan: Plan) -> None:
     plan.actions.append((begin + float(10.0 ** plan.rng.uniform(-3.0, 0.0)), "nmt", bytes([1])))
 
 
+def samples_later(plan: Plan) -> None:
+    """NMT stop and start while the machine creeps; the interface answers 1 to 80 periods later."""
+    machine(plan, a_speed(plan, 0.005, 0.5), 190, limit=float(plan.rng.choice((0.05, 0.25))))
+    begin, later = plan.fault + float(plan.rng.uniform()), int(plan.rng.integers(1, 81))
+    end = begin + float(10.0 ** plan.rng.uniform(-2.0, 1.0))
+    plan.actions.append((begin, "nmt", bytes([int(plan.rng.choice((128, 2, 130)))])))
+    plan.actions.append((end, "nmt", bytes([1])))
+    for slot in plan.slots[plan.fault : int(end) + later]:
+        slot.pdo_lost = True
+
+
 def creeping_deaf(plan: Plan) -> None:
     """The queue of a stalled host overflows while the machine creeps: 5 to 80 periods are lost."""
     limit = float(plan.rng.choice((0.05, 0.25)))

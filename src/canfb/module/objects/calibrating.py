@@ -285,6 +285,5 @@ def _left_out(status: int) -> bool:
 
     Clipped ones stay: too large tracks are to be found out. The residual of a lost position means nothing.
     """
-    if status & CLIPPED:
-        return False
-    return bool(status & (AMPLITUDE | FROZEN)) or status & (RESIDUAL | LOST) == RESIDUAL
+    flagged = status & (AMPLITUDE | FROZEN) or status & (RESIDUAL | LOST) == RESIDUAL
+    return bool(flagged and not status & CLIPPED)

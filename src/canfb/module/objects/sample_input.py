@@ -56,6 +56,7 @@ class SampleInput:
         self.on_mixed: Callable[[], None] = lambda: None
         self.pulses = 0
         self._origin: object = None  # of the samples
+        self._required = -1  # bit n: RPDO n brings a part of a sample
         self.configure()
 
     def configure(self) -> bool:
@@ -69,7 +70,7 @@ class SampleInput:
         earlier = list(itertools.takewhile(lambda number: number is not None, pairs))
         self._earlier = self.all_earlier[: len(earlier)]
         parts = {tracks, coarse, time, flags, place, *earlier} - {None}
-        self._required = 0 if tracks is None else sum(1 << number for number in parts if number is not None)
+        required = 0 if tracks is None else sum(1 << number for number in parts if number is not None)
         self.alone = tracks if len(parts) == 1 else None
         self._with_coarse, self.timed = coarse is not None, time is not None
         self.expects_pulse, self._with_place = flags is not None, place is not None
@@ -79,13 +80,18 @@ class SampleInput:
         # The second position is paired with each sample.
         at_once = self.alone is not None and coarse is flags is second is None and not earlier
         self.usual = tracks if tracks is not None and at_once and not self.is_synchronous else NO_RPDO
+        if required != self._required:  # else a sample may have come in part
+            self._required = required
+            self.begin()
+        before, self._origin = self._origin, (tracks, self.is_synchronous, self.timed, len(earlier))
+        return before != self._origin
+
+    def begin(self) -> None:
         self.arrived = 0
         self._first: int | None = None  # the RPDO that begins a sample
         self._early = self._earliest = 0  # bit n: RPDO n came before that one; the first of them
         self._others_first = 0  # intervals in a row in which the missing parts came before the others
         self.is_mixed = False
-        before, self._origin = self._origin, (tracks, self.is_synchronous, self.timed, len(earlier))
-        return before != self._origin
 
     @property
     def samples_per_sync(self) -> int:
@@ -213,7 +219,7 @@ class SecondInput:
         self._cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         dictionary.entry(*od.SECOND_DIFFERENCE).on_read = self.difference_revolutions
         self.number: int | None = None
-        self._values = 0  # since the last SYNC
+        self.values = 0  # since the last SYNC
 
     @property
     def sensor(self) -> SecondSensor | None:
@@ -225,7 +231,7 @@ class SecondInput:
 
     def apply(self) -> None:
         """2014h was written: what it said is forgotten."""
-        self._values = 0
+        self.values = 0
         self._chain.use_second(self.sensor)
 
     def configure(self) -> None:
@@ -234,12 +240,9 @@ class SecondInput:
         if self.sensor != (None if second is None else second.sensor):
             self.apply()
 
-    def value_received(self) -> None:
-        self._values += 1
-
     def interval_over(self, certain: bool) -> None:
         """At a SYNC, before its sample; ``certain``: the one before it was received as well."""
-        values, self._values = self._values, 0
+        values, self.values = self.values, 0
         self._chain.hear_second(values if certain else UNCERTAIN, self._value.value)
 
     def difference_revolutions(self) -> float:
