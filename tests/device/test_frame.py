@@ -65,8 +65,7 @@ def test_stamps_of_a_right_clock_are_used_however_late_the_host_is(steps: list[t
 
 
 @given(
-    st.floats(0.01, 1e4) | st.floats(-1e4, -0.01),
-    st.lists(st.floats(1e-4, 2e-3), min_size=2, max_size=50),
+    st.floats(0.01, 1e4) | st.floats(-1e4, -0.01), st.lists(st.floats(1e-4, 2e-3), min_size=2, max_size=50)
 )
 def test_a_clock_that_is_set_is_not_used_until_it_is_right(back_s: float, steps: list[float]) -> None:
     call, at = CallContext(), 1e5

@@ -83,6 +83,12 @@ def test_the_sdo_timeout(sample_path: Path, timeout_s: float) -> None:
         assert text.endswith("#8008100000000405")
 
 
+def test_a_channel_that_is_switched_off_over_itself_answers_once_more(bench: Bench) -> None:
+    assert [bench.write(0x1201, 2, 0x6D1, 4), bench.write(0x1201, 1, 0x6D0, 4)] == [OK, OK]
+    assert bench.send(0x6D0, "2301120200000080") == ["6D1#6001120200000000"], "CAN-ID 000h is NMT"
+    assert bench.send(0x6D0, "4001120200000000") == []
+
+
 def test_a_change_of_other_parameters_is_no_new_configuration(bench: Bench) -> None:
     bench.operational()
     bench.application.calls.clear()

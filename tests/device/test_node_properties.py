@@ -139,8 +139,7 @@ class NodeModel(RuleBasedStateMachine):
         application = RecordingApplication()
         self.node = Node(deepcopy(PRISTINE), ID, application, autostart=autostart)
         application.react(
-            state_changed=self.state_changed,
-            rpdo_received=lambda number, now: self.node.trigger_tpdo(1, now),
+            state_changed=self.state_changed, rpdo_received=lambda number, now: self.node.trigger_tpdo(1, now)
         )
         assert self.node.receive(Frame(0, bytes([1, ID])), self.now) == []
         assert self.node.start(self.now) == [Frame(ERROR_CONTROL, b"\x00")]

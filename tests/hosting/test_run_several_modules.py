@@ -226,11 +226,7 @@ PAGE = page("attach").partition("\n## Several")[2]
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("axis-y", "axis-x"),
-        ("node_id: 0x21", "node_id: 255\n    serial_number: 4711"),
-    ],
+    ("old", "new"), [("axis-y", "axis-x"), ("node_id: 0x21", "node_id: 255\n    serial_number: 4711")]
 )
 def test_what_must_differ(old: str, new: str) -> None:
     assert old in CONFIG

@@ -103,7 +103,7 @@ class StateFiles:
             if error.errno != errno.EBADMSG:
                 raise
             # What was pending is lost, and the files may be partly older: they are refused for good.
-            changes = dict.fromkeys(PARAMETERS) | dict(changes)
+            changes = dict.fromkeys(PARAMETERS, b"") | dict(changes)
         if len(changes) < 2:
             self._copy(changes)
             return

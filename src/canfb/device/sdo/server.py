@@ -202,7 +202,7 @@ class SdoChannel:
 
     def configure(self) -> None:
         self.server.drop()
-        if self._index != FIRST_INDEX:
+        if self._index != FIRST_INDEX and self.request_id is not None:  # else that of the last answer stays
             self.server.response_id = self._response.value & cob.CAN_ID
 
     def _written(self) -> None:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
 from canfb.device.od.dcf import TURNS, switched_off, turn
-from canfb.device.od.dictionary import Dictionary, Entry, is_accepted
+from canfb.device.od.dictionary import WRITABLE, Dictionary, Entry, is_accepted
 
 FORMAT_VERSION = 1
 
@@ -163,7 +163,7 @@ class KeptEntries:
         self._added.add(place)
         if saved is not None:
             self._saved_value[place] = saved
-        if entry.access == "rw":
+        if entry.access in WRITABLE:
             entry.on_download = self._written
 
     def save_as(self, index: int, subindex: int, saved: Callable[[], Any]) -> None:
