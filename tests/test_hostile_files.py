@@ -156,6 +156,13 @@ def test_an_entry_of_a_table_that_is_no_float(tmp_path: Path) -> None:
         read_table(path)
 
 
+@pytest.mark.parametrize("value", ["!!bool 7", "!!int ''", "2023-02-30", "0x_", "9" * 5000])
+def test_a_value_of_a_table_that_is_none(tmp_path: Path, value: str) -> None:
+    (tmp_path / "a.yaml").write_text(f"canfb_table: 1\nmeasured: {value}\n")
+    with pytest.raises(CanfbError, match=r"line 2: .*quote text values"):
+        read_table(tmp_path / "a.yaml")
+
+
 def test_a_long_offset_is_that_of_the_file_that_is_written(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text(

@@ -123,8 +123,6 @@ _TAG = "tag:yaml.org,2002:"
 
 
 _LONGEST_MESSAGE = 300
-# What SafeLoader lets through for values such as 2001-99-99, 0x_ or !!bool 7.
-_NO_VALUE = (ValueError, KeyError, IndexError, AttributeError, TypeError, RecursionError, OverflowError)
 
 
 def load_config(path: str | Path, needs: Sequence[str] = MODULES) -> Config:
@@ -168,7 +166,7 @@ def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfi
             values[key] = construct(compose(text, exponents=True))
             if key in _HOLDS and not (key in _OR_FLAG and isinstance(values[key], bool)):
                 values[key] = _HOLDS[key](**values[key])
-        except (yaml.YAMLError, *_NO_VALUE) as error:
+        except (yaml.YAMLError, ValueError, TypeError) as error:
             raise ConfigError(_short(f"--set {setting}: {error}")) from None
     try:
         return replace(module, **values)
@@ -299,9 +297,8 @@ class _Reader:
     def _plain(self, node: yaml.Node, what: str) -> Any:
         try:
             return construct(node)
-        except (yaml.MarkedYAMLError, *_NO_VALUE) as error:
-            why = getattr(error, "problem", None) or f"{node.value!r}; quote text values"
-            raise self._fail(node, f"{what} cannot be read: {why}") from None
+        except yaml.MarkedYAMLError as error:
+            raise self._fail(node, f"{what} cannot be read: {error.problem}") from None
 
 
 def _check_distinct_nodes(name: str, root: yaml.Node, config: Config) -> None:

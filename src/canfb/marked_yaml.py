@@ -26,7 +26,15 @@ class YamlError(ValueError):
 
 
 class _Loader(yaml.SafeLoader):
-    """The loader of all files."""
+    """The loader of all files: 2001-99-99, 0x_ and !!bool 7 get their line."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError, RecursionError):
+            raise yaml.MarkedYAMLError(
+                problem=f"{str(node.value)[:40]!r}; quote text values", problem_mark=node.start_mark
+            ) from None
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -104,7 +112,7 @@ def _checked(node: yaml.Node, known: dict[int, int]) -> int:
 
 
 def construct(node: yaml.Node | None) -> Any:
-    """The value of a node that :func:`compose` gave. YAMLError, or what it raises for 2001-99-99 and such."""
+    """The value of a node that :func:`compose` gave. MarkedYAMLError."""
     if node is None:
         return None
     loader = _Loader("")

@@ -13,6 +13,7 @@ import yaml
 
 from canfb.calibrate.artefacts import refusal_html, report_html, write, write_refusal
 from canfb.calibrate.calibration_summary import bound_words, comparison, facts, findings
+from canfb.calibrate.choices import CalibrateOptions
 from canfb.calibrate.measurement import Measurement, Settings, block_of
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.deviation import Deviation, best_deviation
@@ -20,7 +21,7 @@ from canfb.errors import CalibrationError
 from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import Provenance
-from canfb.master.samples import TrackSamples, read_npz
+from canfb.master.samples import TrackSamples, read_npz, write_npz
 from canfb.sdo.tables import read_table
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
@@ -112,6 +113,10 @@ def test_everything_is_written_and_can_be_read_again(
     again = read_npz(folder / "samples.npz")
     assert np.array_equal(again.sine, measured.samples.sine, equal_nan=True)
     assert again.rate_hz == measured.samples.rate_hz
+    time_s = np.arange(len(again)) / 1e3
+    write_npz(tmp_path / "t.npz", replace(again, time_s=time_s))
+    (tmp_path / "t.npz").rename(tmp_path / "T.NPZ")
+    assert np.array_equal(CalibrateOptions().samples_of_file(tmp_path / "T.NPZ").time_s, time_s)
     content = (folder / "table.yaml").read_text()
     assert content.startswith("# Correction table of canfb: ")
     head = yaml.safe_load(content)

@@ -125,6 +125,7 @@ ODD: list[tuple[str, str, Callable[[Lines], Lines], Costs]] = [
     (".trc", TRC + "; Pr\xfcfstand\n\n", inserted("; \xb5\n"), (0, 0, 0)),
     (".trc", TRC.replace("45244.9", "45244,9"), inserted("      7      5.000 ST  1 Rx 00 00\n"), (0, 0, 0)),
     (".trc", TRC, two_cut_off(24), (2, 2, 0)),
+    (".trc", TRC, lambda lines: [one.replace(".", ",", 1) for one in lines], (0, 0, 0)),
 ]
 
 
@@ -144,6 +145,32 @@ def test_odd_lines_cost_themselves(
     expected = {(can_id, data) for _, can_id, data in frames_of(20)}
     assert {(frame.can_id, frame.data) for frame in frames} <= expected
     assert (counters.first_damaged_line > 0) == (counters.damaged_lines > 0)
+
+
+TRC_1 = {
+    "": ["0190  2  01 02", "0008  4  ERROR 00 19 08 08", "FFFFFFFF  4  00 00 00 04 -- -- -- --  BUSLIGHT"],
+    "1.1": ["Rx  0190  2  01 02", "Warng  FFFFFFFF  4  00 00 00 04", "Error  0008  4  00 19 08 08"],
+    "1.2": ["1  Rx  0190  2  01 02", "1  Warng  FFFFFFFF  4  00 00 00 04  BUSLIGHT"],
+}
+
+
+@pytest.mark.parametrize(("version", "lines"), TRC_1.items())
+def test_trc_1_with_lines_that_are_no_frames(tmp_path: Path, version: str, lines: list[str]) -> None:
+    text = f";$FILEVERSION={version}\n;$STARTTIME=37704.5\n" if version else ";\n"
+    (tmp_path / "a.trc").write_text(text + "".join(f"{n})  {n}  {line}\n" for n, line in enumerate(lines, 1)))
+    log = BusLogFile(tmp_path / "a.trc")
+    assert [(frame.can_id, frame.data) for frame in log] == [(0x190, b"\1\2")]
+    assert (log.trouble, log.counters.damaged_lines) == (None, 0)
+
+
+EIGHT, NINE = "0.1 1  190  Rx   d f 01 02 03 04 05 06 07 08\n", "(2.0) can0 190#001122334455667788\n"
+
+
+@pytest.mark.parametrize(("name", "text", "frames"), [("a.asc", f"base hex\n{EIGHT}", 1), ("a.log", NINE, 0)])
+def test_a_classic_frame_has_eight_bytes(tmp_path: Path, name: str, text: str, frames: int) -> None:
+    (tmp_path / name).write_text(text)
+    log = BusLogFile(tmp_path / name)
+    assert (len(list(log)), log.counters.damaged_lines) == (frames, 1 - frames)
 
 
 def test_asc_with_the_time_since_the_event_before_and_decimal_numbers(tmp_path: Path) -> None:

@@ -406,7 +406,7 @@ def test_the_command_says_which_log_is_bad_or_incomplete(
     folder: Path, tmp_path: Path, command: Command
 ) -> None:
     line = "log replay --workers 1 --no-drift"
-    captured = command(line, folder)
+    captured = command(line, folder, code=1)
     assert "not done  bad.log, module 32: " in captured.out
     assert "0.log, module 32: 100 samples, no faults\n" in captured.out
     assert f"{GOOD + 1} rows, " in captured.out

@@ -55,7 +55,9 @@ def test_upload_stages_and_activate_puts_in_force(canfb: Commands, file: Path) -
     out, _ = canfb(bench, "table", "activate", NODE, "--save")
     assert f"table {TABLE.crc32:08X}h in force in module 32 (20h); saved (1010:04)" in out
     assert in_force(bench) == NEW
+    canfb(bench, "sdo", "write", NODE, "2010:0C", "0.005")  # as canfb calibrate does
     out, _ = canfb(bench, "table", "clear", NODE)
+    assert bench.value(0x2010, 0xC) == 819, "without the table no phase is that good"
     assert "no table in force in module 32 (20h); not saved: --save keeps it" in out
     assert "the conditioning (2002h) stays" in out
     assert in_force(bench) == Correction(None, CONDITIONING)

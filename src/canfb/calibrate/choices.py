@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from canfb.calibrate.measurement import ESTIMATE, MOTION, ZERO_CROSSINGS, Settings, SpeedSamples
@@ -169,9 +169,9 @@ class CalibrateOptions:
 
     def samples_of_file(self, path: Path) -> TrackSamples:
         """Samples of ``--samples``. CanfbError, with file and line, for a file that cannot be used."""
-        if path.suffix == ".npz":
+        if path.suffix.lower() == ".npz":
             found = read_npz(path)
-            return TrackSamples(found.sine, found.cosine, self.sample_rate or found.rate_hz, found.origin)
+            return replace(found, rate_hz=self.sample_rate or found.rate_hz)
         recording = open_recording(path, self._layout)
         return TrackSamples.of(*recording.tracks, self.sample_rate, f"file {path.name}{recording.note}")
 
@@ -180,12 +180,12 @@ class CalibrateOptions:
 
         CanfbError for those that cannot be used.
         """
-        files = sorted(one for one in folder.glob("*") if one.suffix in (".npz", ".csv"))
+        files = sorted(one for one in folder.glob("*") if one.suffix.lower() in (".npz", ".csv"))
         if not folder.is_dir() or len(files) < 2:
             raise ConfigError(f"--samples {folder}: with --speeds a folder with a file for each speed")
         rpm, per_turn = self.speeds_rpm, self.cycles_per_revolution
         if self.speeds == RECORDED:
-            known = [read_speed(one) if one.suffix == ".npz" else None for one in files]
+            known = [read_speed(one) if one.suffix.lower() == ".npz" else None for one in files]
         elif len(rpm) != len(files) or per_turn is None:
             raise ConfigError(
                 f"--speeds {self.speeds}: {len(files)} speeds are required, one for each file of {folder} "
@@ -238,7 +238,7 @@ def refuse_combinations(choices: CalibrateOptions, refuse: Refuse, bus_words: Se
     file, at_speeds = choices.samples, choices.speeds is not None
     for applies, words, why in (
         (file, (*_OF_THE_BUS, *bus_words), "not with --samples, which needs no bus and writes to no module"),
-        (file and file.suffix == ".npz", _OF_CSV, f"only for CSV, not for {file and file.name}"),
+        (file and file.suffix.lower() == ".npz", _OF_CSV, f"only for CSV, not for {file and file.name}"),
         (not file, ["table"], "only with --samples; over the bus the table is read from the module"),
         (not file, _OF_THE_FILE, "only with --samples, which it describes"),
         (choices.check, ("dry_run", "save"), "not with --check, which writes nothing"),

@@ -85,7 +85,7 @@ def register(commands: Commands) -> None:
                 default=Begin.AUTO.value,
                 help="NMT state of the module at the beginning; auto: as the first frames show",
             ),
-            option("--channel", metavar="NAME", help="of a log of several buses (default: all, as one bus)"),
+            option("--channel", metavar="NAME", help="one bus of several; .asc, .blf: from 0 (default: all)"),
         ),
         group(
             "results",
@@ -237,4 +237,4 @@ def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Prog
         f"{len(rows)} rows, {samples} samples; {sum(row['error'] is not None for row in rows)} not done"
     )
     print("\n".join([*lines, *those((out, f"written  {out}"))]))
-    return int(any(row["trouble"] for row in rows))
+    return int(any(row["trouble"] or row["error"] for row in rows))

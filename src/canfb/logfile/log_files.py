@@ -106,9 +106,6 @@ class LogCounters:
     channels: set[str] = field(default_factory=set)
     left_out: defaultdict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
 
-    def left_out_of(self, can_ids: Collection[int]) -> int:
-        return sum(one[can_id] for one in self.left_out.values() for can_id in can_ids)
-
     def damaged(self, line: int) -> None:
         self.damaged_lines += 1
         self.first_damaged_line = min(line, self.first_damaged_line or line)
@@ -246,7 +243,7 @@ class _Lines:
         if message.is_error_frame or message.is_fd or message.is_remote_frame:
             return True
         length = len(message.data)
-        return length == message.dlc and not (
+        return length == min(8, message.dlc) and not (
             self.has_words_of_bytes and length > 0 and self.is_cut_in_byte(line, length)
         )
 
@@ -295,8 +292,11 @@ class _TrcLines(_Lines):
     """PEAK: what begins with ";$" is the header; frames begin with a number and a time."""
 
     reader = can.TRCReader
-    frame = re.compile(r"\s*\d+\)?\s+[\d.]+\s+(?!(\d+\s+)?(ST|EC|ER|EV|Warng|Error|Status)\b)")
-    cut = re.compile(r"\d+\)?(\s+[\d.]+)?")
+    frame = re.compile(
+        r"\s*\d+\)?\s+[\d.]+\s+(?!\s|(\d+\s+)?(ST|EC|ER|EV|Warng|Error|Status|FFFFFFFF)\b|\w+\s+\d\s+ERROR\b)"
+    )
+    cut = re.compile(r"\d+\)?(\s+[\d.,]+)?")
+    of_1_2 = re.compile(r"(\)\s+[\d.]+\s+\d+\s+[RT]x\s+\w+)(?=\s+\d+\s)")  # 1.3 has "-" behind the CAN-ID
     start = re.compile(r"\s*;\$STARTTIME\s*=\s*(\d+)(?:[.,](\d+))?\s*$")
 
     def kept(self, line: str) -> str | None:
@@ -304,8 +304,8 @@ class _TrcLines(_Lines):
         if found := self.start.match(text):
             text = f";$STARTTIME={found[1]}.{found[2] or 0}"
         if text.startswith(";$") and (found or not text.startswith(";$STARTTIME")):
-            self.head += f"{text}\n"
-        return super().kept(line)
+            self.head += f"{text}\n".replace("VERSION=1.2", "VERSION=1.3")
+        return super().kept(self.of_1_2.sub(r"\1 -", line.replace(",", ".")))
 
 
 class CandumpLines(_Lines):

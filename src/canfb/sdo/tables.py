@@ -36,6 +36,8 @@ from canfb.master.session import AMPLITUDES
 from canfb.rows import Result, Row, as_figures, as_lines
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.limits import PHASE_ERROR_CYCLES
+from canfb.view.module_view import LIMIT_UNITS
 
 DELAYS = frozenset({"cosine_delay_s", "delay_s"})
 # Keys of a table file that say with which encoder and analog path the table was measured.
@@ -135,7 +137,7 @@ def read_table_file(path: str | Path) -> TableFile:
 
 
 def is_yaml(path: Path) -> bool:
-    return path.suffix in (".yaml", ".yml")
+    return path.suffix.lower() in (".yaml", ".yml")
 
 
 def _from_yaml(path: Path, data: bytes) -> TableFile:
@@ -150,7 +152,7 @@ def _from_yaml(path: Path, data: bytes) -> TableFile:
         path,
         Correction(table, _conditioning(marked, words)),
         True,
-        {place: value for place, value in noted.items() if isinstance(value, (int, float)) and value > 0},
+        {at: value for at, value in noted.items() if isinstance(value, (int, float)) and 0 < value < 1e9},
         not DELAYS.isdisjoint(words),
     )
 
@@ -358,8 +360,16 @@ class TableTasks:
         """Back to the identity, the ``conditioning`` too."""
         before = read_active(self._module)
         new = Correction(None, IDENTITY if conditioning else before.conditioning)
-        done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
-        result = self._result(done, before, new)
+
+        def put() -> None:
+            declared = self._module.read_known(od.SUPERVISION_PHASE_ERROR)
+            if declared is not None:  # without a table a phase is no better than by default
+                self._module.write(
+                    *od.SUPERVISION_PHASE_ERROR, "H", max(declared, round(PHASE_ERROR_CYCLES * LIMIT_UNITS))
+                )
+            put_in_force(self._module, new)
+
+        result = self._result(self._in_force(before, new, keep, put), before, new)
         if not new.conditioning.is_identity:
             result.lines.append("the conditioning (2002h) stays in force; --conditioning clears it as well")
         return result

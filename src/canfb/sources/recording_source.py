@@ -129,7 +129,7 @@ class RecordingSource:
 def open_recording(file: str | Path, layout: RecordingLayout) -> RecordingSource:
     """A recording: an NPZ file of ours by its name, which needs no layout, else CSV. CanfbError."""
     path = Path(file)
-    if path.suffix == ".npz":
+    if path.suffix.lower() == ".npz":
         return RecordingSource(*read_tracks(path)[:2])
     timed = () if layout.time_column is None else (layout.time_column,)
     columns = read_columns(path, [str(name) for name in (*layout.columns, *timed)])

@@ -58,7 +58,7 @@ def read_columns(path: Path, names: Sequence[str]) -> Columns:
         values: list[list[float]] = []
         lines: list[int] = []
         for row in reader:
-            if row:
+            if any(map(str.strip, row)):
                 lines.append(reader.line_num + skipped)
                 values.append(_numbers(path, lines[-1], row, places))
     except csv.Error as error:
