@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,8 @@ def check_writable(path: Path, option: str = "") -> None:
     name = f"{option} {path}".strip()
     if path.is_dir():
         raise ConfigError(f"{name}: cannot be written: it is a folder")
+    if path.is_file() and re.search(rb"^(bus|modules|interfaces):", path.read_bytes()[:4096], re.MULTILINE):
+        raise ConfigError(f"{name}: is a configuration, and would be replaced: give another name")
     if not path.parent.is_dir():
         raise ConfigError(f"{name}: there is no folder {path.parent}")
     if not os.access(path if path.exists() else path.parent, os.W_OK):

@@ -156,12 +156,7 @@ OF_OTHERS = {
     "tells of this computer": {"uname"},
     "installs canfb": {"python3", "git", ".", "canfb-venv/bin/pip", "~/canfb-venv/bin/pip"},
     "is not a command": {
-        *(
-            "dtparam=spi=on",
-            "dtoverlay=mcp2515-can0,oscillator=16000000,interrupt=25",
-            "SYNC",
-            "export",
-        ),
+        *("dtparam=spi=on", "dtoverlay=mcp2515-can0,oscillator=16000000,interrupt=25", "SYNC", "export"),
         "dtoverlay=mcp251xfd,spi0-0,oscillator=40000000,interrupt=25",
     },
 }

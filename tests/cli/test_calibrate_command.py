@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import can
 import numpy as np
 import pytest
 
@@ -55,7 +56,7 @@ def test_who_produces_the_sync_has_to_hear_it(monkeypatch: pytest.MonkeyPatch, c
 def test_ctrl_c_is_exit_code_130_and_one_line(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
     monkeypatch.setattr(calibrate_command, "over_bus", lambda *rest: signal.raise_signal(signal.SIGINT))
     said = command("calibrate -i virtual -c interrupted", code=130)
-    assert said.err == "canfb: interrupted; the module is unchanged\n"
+    assert said.err == "canfb: interrupted; nothing more is written to the module\n"
 
 
 def test_samples_of_a_file_give_table_and_report(npz: str, tmp_path: Path, command: Command) -> None:
@@ -163,3 +164,10 @@ def test_the_remaining_time_is_that_of_the_step_so_far() -> None:
     assert [bar.rpartition("]")[2].strip() for bar in shown.split(CLEAR) if bar] == [
         *("1 %", "1 %, 4 min 57 s left", "25 %, 18 s left", "25 %, 20 s left", "0 %", "100 %")
     ]
+
+
+def test_a_bus_that_has_a_sync_gets_no_second_one(command: Command) -> None:
+    with can.Bus(interface="virtual", channel="two-syncs") as bus:
+        bus.send_periodic(can.Message(arbitration_id=0x80, is_extended_id=False), 0.02)
+        said = command("calibrate 0x20 --rate 1000 -i virtual -c two-syncs", code=2)
+    assert said.err == "canfb: --rate: another node sends SYNC already; leave --rate out\n"

@@ -140,6 +140,8 @@ WRONG_USE = {
     "node start 1 a.yaml": NOT_A_NODE,
     "sdo read 1 residual limit": "unrecognized arguments: limit",
     "why 5 --status 6": "NODE: not with --status",
+    "why 5 6": "one NODE is required, a node-ID such as 32 or 0x20; several with --bundle only",
+    "table read 5 feedback.yaml": "feedback.yaml: is a configuration, and would be replaced",
     "why 5 --out x.json": "--out: only with --bundle",
     "table": "the following arguments are required: PART",
     "table show nothing.yaml": "nothing.yaml: neither a node-ID (1 to 127) nor a file",

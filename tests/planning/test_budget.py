@@ -217,7 +217,7 @@ def texts(plan: Plan) -> list[str]:
             {"acceleration_rad_s2": 1600.0, "bit_rate": 500_000},
             "acceleration: raise the SYNC rate to 1500 Hz, and the bit rate to 800000 bit/s",
         ),
-        ({"acceleration_rad_s2": 60000.0}, "acceleration: accelerate by 712.1 rad/s^2 at most"),
+        ({"acceleration_rad_s2": 60000.0}, "acceleration: accelerate by 711.8 rad/s^2 at most"),
         ({"rate_hz": 500.0, "bit_rate": 125_000}, "bus load: raise the bit rate to 250000 bit/s"),
         ({"rate_hz": 3000.0}, "bus load: lower the SYNC rate to 2200 Hz"),
         (

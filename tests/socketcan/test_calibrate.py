@@ -66,7 +66,7 @@ def test_a_table_is_measured_proven_and_reported_and_ctrl_c_takes_it_back(
         assert interrupted.wait() == 130
         assert interrupted.lines[-2:] == [
             "... the previous table and conditioning are active in module 32 (20h)",
-            "canfb: interrupted; the module is unchanged",
+            "canfb: interrupted; nothing more is written to the module",
         ]
         assert not table_is_active()
 

@@ -78,9 +78,8 @@ class Dispatch:
         return self._earliest_s
 
     def called(self, port: Port) -> None:
-        deadline_s = port.deadline()
-        if deadline_s is None:
-            deadline_s = NEVER
+        due_s = port.deadline()
+        deadline_s = NEVER if due_s is None else due_s
         before_s = port.due_s
         if deadline_s == before_s:
             return

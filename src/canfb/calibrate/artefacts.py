@@ -156,11 +156,8 @@ def _origins(where: Provenance) -> str:
 def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | None) -> str:
     picture = pictures.lissajous(samples.sine, samples.cosine, used.conditioning, limits)
     seen = len(samples) - samples.missed
-    shown = (
-        f"all {seen} samples, shown by their density"
-        if pictures.is_dense(samples.sine)
-        else f"{seen} samples"
-    )
+    dense = seen > pictures.SHOWN_SAMPLES
+    shown = f"all {seen} samples, shown by their density" if dense else f"{seen} samples"
     return figure("Lissajous figure", f"should be a circle within the limits; {shown}", picture)
 
 

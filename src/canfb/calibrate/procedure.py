@@ -104,6 +104,7 @@ def install(
     except BaseException:
         say(as_before)
         raise
+    say(f"the table is in force{', and saved' * (done.saved_as is not None)}")
     if not keep:
         done.save_note = "not saved: the table is lost when the module is switched off (--save)"
     elif done.saved_as is None:

@@ -158,7 +158,7 @@ def calibrate(options: argparse.Namespace) -> int:
     config = named_config(options)
     if choices.out:
         prepare_folder(choices.out)
-    with shown_progress(quiet=options.json, interrupted="the module is unchanged") as progress:
+    with shown_progress(quiet=options.json, interrupted="nothing more is written to the module") as progress:
         if choices.samples:
             return _said(
                 options, progress, date_and_time(), partial(CalibrationRun.from_file, path=choices.samples)

@@ -12,7 +12,6 @@ from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cia301.frame import Frame
 from canfb.cli.options import bus_options, named_config
-from canfb.cli.printing import say
 from canfb.diagnosis.nodes_and_frames import FrameWords, learn_by_sdo
 from canfb.eds_files import eds_path
 from canfb.monitoring.layout import Recognition, assumed_objects, known_objects
@@ -55,4 +54,4 @@ def _show(options: argparse.Namespace, words: FrameWords, frames: Iterator[tuple
             if node is not None:
                 words.learn(node, assumed_objects(node))
         if decoded.is_pdo or not options.pdo:
-            say(json.dumps(decoded.figures(time_s)) if options.json else decoded.line(time_s))
+            print(json.dumps(decoded.figures(time_s)) if options.json else decoded.line(time_s), flush=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import logging
 import os
 import shlex
@@ -38,9 +39,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         completion.answer(build_parser, os.environ)
         return FAILED
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # µ and ″ on a terminal that has none
     try:
         code = _run(arguments or ["--help"])
         sys.stdout.flush()
+    except KeyboardInterrupt:
+        return INTERRUPTED
     except BrokenPipeError:  # the reader has gone, as in `canfb demo | head`
         _drop_output()
         return FAILED
@@ -72,8 +77,6 @@ def _run(arguments: Sequence[str]) -> int:
         with printed_log():
             refuse_combinations(options)
             return int(options.action(options))
-    except KeyboardInterrupt:
-        return INTERRUPTED
     except CanfbError as error:
         if options.debug:
             traceback.print_exc()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import io
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -156,13 +155,11 @@ def _reading(
 @contextlib.contextmanager
 def output(options: argparse.Namespace, page: LivePage | None) -> Iterator[tuple[Show, float]]:
     """The function that shows a snapshot, and its usual rate, Hz."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # µ on a terminal that has none
     if page is not None:
         with page.server:
             yield page.show, RATE_HZ
     elif options.json:
-        yield lambda snapshot: say(json.dumps(snapshot.to_json(), ensure_ascii=False)), RATE_HZ
+        yield lambda snapshot: print(json.dumps(snapshot.to_json(), ensure_ascii=False), flush=True), RATE_HZ
     elif options.plain or not sys.stdout.isatty():
         yield lambda snapshot: _say_lines(snapshot, options), LINES_RATE_HZ
     else:
@@ -172,7 +169,7 @@ def output(options: argparse.Namespace, page: LivePage | None) -> Iterator[tuple
 
 def _say_lines(snapshot: BusSnapshot, options: argparse.Namespace) -> None:
     for line in plain_lines(snapshot, options.per_revolution):
-        say(line)
+        print(line, flush=True)
 
 
 @contextlib.contextmanager

@@ -10,10 +10,12 @@ from collections.abc import Iterator
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
+from canfb.cia301 import cob
 from canfb.cli.options import JSON, TIMEOUT, add_bus_options, bus_options, chosen_bus, node_number, option
 from canfb.cli.printing import shown_progress
 from canfb.configuration import Config
-from canfb.master.access import Master
+from canfb.errors import ConfigError
+from canfb.master.access import Master, subscribed
 from canfb.master.all_or_nothing import Guard
 from canfb.rows import Result
 
@@ -36,6 +38,11 @@ def sync_master(options: argparse.Namespace, config: Config) -> Iterator[tuple[B
     guard = Guard()
     with BusMaster(bus, options.timeout) as master, ending_on_signals(guard.interrupt):
         if options.rate is not None:
+            heard: list[object] = []
+            with subscribed(master, [(cob.SYNC, lambda *frame: heard.append(frame))]):
+                master.wait(0.3)  # a SYNC of 5 Hz or more
+            if heard:
+                raise ConfigError("--rate: another node sends SYNC already; leave --rate out")
             master.produce_sync(options.rate)
         yield master, guard
 

@@ -85,10 +85,8 @@ def register(commands: Commands) -> None:
 
 def plan(options: argparse.Namespace) -> int:
     try:
-        if options.config is None:
-            config = modules_alike(options.modules, options.adc_bits)
-        else:
-            config = numbered(load_config(options.config))
+        path, alike = options.config, modules_alike(options.modules, options.adc_bits)
+        config = numbered(load_config(path)) if path else alike
         options.jitter_us = options.jitter and jitter_s(options, options.rate_hz) * 1e6
         overrides = PlanOptions(**{field.name: getattr(options, field.name) for field in fields(PlanOptions)})
         found = plan_of(config, [saved_configuration(one) for one in config.modules], overrides)

@@ -122,8 +122,8 @@ def why(options: argparse.Namespace) -> int:
         return diagnose(options)
     if options.status is not None:
         return node_options.say_result(options, decoded(options.status))
-    if options.module is None:
-        raise ConfigError("NODE is required: a node-ID such as 32 or 0x20")
+    if len(options.nodes) != 1 or options.module is None:
+        raise ConfigError("one NODE is required, a node-ID such as 32 or 0x20; several with --bundle only")
     with node_options.master_of(options) as master:
         found = read_lost_position(NodeAccess(master, options.module, "module"))
     return node_options.say_result(options, found.result())

@@ -239,7 +239,7 @@ def _jitter(off_s: float | None, most_s: float, margin: float) -> Chosen:
         return None, NO_TIMES
     seen = f"up to {1e6 * off_s:.0f} µs from the even grid seen"
     if margin * off_s > most_s:
-        return None, f"{seen}: find its cause, or map the sample time (times: true)"
+        return None, f"{seen}: find its cause"
     if margin * off_s <= USUAL_JITTER_S:
         return 0.0, f"{seen}: within the default of {1e3 * USUAL_JITTER_S:g} ms"
     return as_real32(min(_rounded_up(margin * off_s), most_s)), f"{seen}, times {margin:g}"

@@ -33,7 +33,7 @@ def read_active(module: NodeAccess) -> Correction:
         crc32 = module.integer(*od.TABLE_ACTIVE_CRC, "I")
     except ObjectAbsentError:
         raise CommissioningError(
-            f"{module.name} has no correction table (2020h): not a feedback module; set --module"
+            f"{module.name} has no correction table (2020h): not a feedback module: give the NODE of one"
         ) from None
     conditioning = active_conditioning(module)
     if crc32 == 0:

@@ -17,7 +17,7 @@ from canfb.view.module_view import LIMIT_UNITS
 LEAVES = 0.95  # of the largest SYNC rate, of what is sharp
 FASTER = 1.05
 MOST_FASTER = 40  # steps of FASTER: 7 times the rate
-JUST_BELOW = 1.0 - 1e-9
+JUST_BELOW = 0.9995  # four digits are rounded by no more
 KNOWN_ENOUGH = 1.1  # what the module knows over what is given
 NOISE_MARGIN = 6  # docs/supervision.md
 NARROWED = 0.95  # of the residual limit: a gain
@@ -87,7 +87,7 @@ def _of_the_bus(plan: Plan) -> Ways:
 def _of_the_speed(plan: Plan) -> Ways:
     yield from _times(plan)
     yield from _table(plan)
-    rpm = min(one.largest_speed_rad_s for one in plan.budgets) * RPM * JUST_BELOW
+    rpm = float(f"{min(one.largest_speed_rad_s for one in plan.budgets) * RPM * JUST_BELOW:.4g}")
     if rpm > 0.0:
         yield f"turn at {rpm:.4g} rpm at most", replace(plan, speed_rad_s=rpm / RPM)
 
@@ -96,7 +96,7 @@ def _of_the_motion(plan: Plan) -> Ways:
     asked = asked_acceleration(plan)
     yield from _times(plan)
     if any(0.0 < one.settings.acceleration_rad_s2 < asked for one in plan.modules):
-        text = f"set max_acceleration_rad_s2 (2010:02) to {asked:.4g}, which is what the motion needs"
+        text = f"set max_acceleration_rad_s2 (2010:02) to {asked:.7g}, which is what the motion needs"
         yield text, _with(plan, od.SUPERVISION_ACCELERATION, asked)
     limit = _needed_limit(plan)
     if min(one.settings.widest_cycles for one in plan.modules) < limit <= RESIDUAL_LIMIT:
@@ -104,7 +104,7 @@ def _of_the_motion(plan: Plan) -> Ways:
     yield from _table(plan)
     yield from _faster(plan)
     yield from _more_samples(plan)
-    most = min(one.largest_acceleration_rad_s2 for one in plan.budgets) * JUST_BELOW
+    most = float(f"{min(one.largest_acceleration_rad_s2 for one in plan.budgets) * JUST_BELOW:.4g}")
     if 0.0 < most < asked:
         gentler = replace(plan, acceleration_rad_s2=most, is_final=True)
         yield f"accelerate by {most:.4g} rad/s^2 at most", gentler
@@ -181,7 +181,7 @@ def _sharper(plan: Plan) -> Ways:
 
 def _narrowed(plan: Plan, place: od.Multiplexer, value: float, name: str) -> tuple[str, Plan]:
     after = _with(plan, place, value)
-    return f"set {name} to {value:.6g}: the residual limit becomes {widest_limit(after):.3f}", after
+    return f"set {name} to {value:.7g}: the residual limit becomes {widest_limit(after):.3f}", after
 
 
 def _with(plan: Plan, place: od.Multiplexer, value: float) -> Plan:

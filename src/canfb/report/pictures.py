@@ -207,11 +207,6 @@ def lissajous(
     return cloud(plot, c, s, "after", "conditioned").svg()
 
 
-def is_dense(sine: FloatArray) -> bool:
-    """:func:`lissajous` shows a density."""
-    return int(np.isfinite(sine).sum()) > SHOWN_SAMPLES
-
-
 def square_plot(title: str, most_counts: float) -> Plot:
     """Axes for both tracks, -``most_counts``..``most_counts``."""
     extent = (-most_counts, most_counts)
