@@ -55,7 +55,7 @@ def replacing(path: Path, *, private: bool = False) -> Iterator[Path]:
 
     ``private``: nobody else may read it.
     """
-    target = path.resolve()  # a link stays one
+    target = path if private else path.resolve()  # a link stays one, but where anybody may have put it
     handle, name = tempfile.mkstemp("".join(target.suffixes), f".{target.name}.", target.parent)
     part = Path(name)
     try:

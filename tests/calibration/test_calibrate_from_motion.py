@@ -321,6 +321,26 @@ def test_few_cycles_are_enough_and_reversals_and_faults_left_out(sign, seconds, 
         assert calibrate_from_zero_crossings(sine, cosine, valid=valid).cycles_used < 0.65 * max(cycles)
 
 
+@pytest.mark.parametrize("entries", [32, 64, 1024])
+def test_the_way_between_the_entries_counts_in_the_stated_error(entries):
+    encoder = Encoder(sine_offset=0.07, cosine_amplitude=0.93, noise_lsb=0.3)
+    tracks = encoder.sample(np.arange(4818) / 80.3, np.random.default_rng(1))
+    result = calibrate_from_zero_crossings(*tracks, entries=entries)
+    assert 0.1 < np.abs(table_error(result.table, encoder)).max() / result.uncertainty_peak < 1.0
+
+
+@pytest.mark.parametrize("seed", [82, 179, 197])
+def test_a_sample_at_the_end_of_the_cycle_counts_there(seed):
+    """Among those at its begin it had spoilt their mean: 0.33 % of a cycle."""
+    rng = np.random.default_rng(seed)
+    per, cycles = rng.uniform(60, 500), int(rng.integers(20, 80))
+    size, noise = rng.choice([1500.0, 1900.0]), rng.choice([1, 2, 3, 5])
+    angle = 2.0 * np.pi * (np.arange(int(per * cycles)) / per + rng.random())
+    tracks = [np.round(size * track(angle) + rng.normal(0, noise, len(angle))) for track in (np.sin, np.cos)]
+    result = calibrate_from_zero_crossings(*tracks, adc_bits=12)
+    assert np.abs(table_error(result.table, Encoder())).max() < 1.5 * result.uncertainty_peak
+
+
 @pytest.mark.parametrize(
     ("every", "samples", "reason"), [(1, 1200, "cycles"), (4, 50_000, "speed"), (50, 50_000, "speed")]
 )

@@ -85,6 +85,8 @@ def test_an_offset_of_the_tracks_moves_the_position_as_theory_says(calibration, 
 
 
 def test_a_turned_direction_is_as_far_off_as_can_be(calibration: Calibration) -> None:
+    with pytest.raises(ValueError, match="pass the whole calibration"):
+        drift(calibration, calibration.table.made_for(Conditioning(1.0)))
     found = drift(calibration, calibration.table, Conditioning(sine_gain=-1.0))
     assert found.peak > 0.45
     assert found.rms > 0.2

@@ -5,20 +5,9 @@ from __future__ import annotations
 import re
 
 GROUPS = {
-    "EDS": 1,
-    "SDO": 30,
-    "PDO": 33,
-    "OD": 9,
-    "EMCY": 6,
-    "SYNC": 10,
-    "Guard": 6,
-    "HB": 7,
-    "HvG": 7,
-    "Other": 10,
-    "State": 4,
-    "Trans": 4,
-    "Beyond": 24,
-}
+    "EDS": 1, "SDO": 30, "PDO": 33, "OD": 9, "EMCY": 6, "SYNC": 10, "Guard": 6, "HB": 7, "HvG": 7,
+    "Other": 10, "State": 4, "Trans": 4, "Beyond": 24,
+}  # fmt: skip
 CASES = [f"{group.lower()}_{number:02}" for group, count in GROUPS.items() for number in range(1, count + 1)]
 
 _NAME = re.compile(

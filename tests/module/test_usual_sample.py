@@ -24,31 +24,22 @@ TABLE = wavy_table(64, 0.02)
 STOP, OPERATIONAL, PRE_OPERATIONAL, RESET_COMMUNICATION = (
     Frame(0, bytes([command, 32])) for command in (2, 1, 128, 130)
 )
+ONE_WRITE: dict[str, tuple[int, int, float]] = {
+    "reverse": (0x6000, 0, 1), "preset": (0x6003, 0, 77), "predict": (0x2013, 1, 1),
+    "no prediction": (0x2013, 1, 0), "acceleration": (0x2010, 2, 1e4), "residual": (0x2010, 1, 2000),
+    "flags": (0x2000, 6, 2), "no flags": (0x2000, 6, 0), "low": (0x2001, 3, 1400),
+    "warnings": (0x2004, 2, 0), "noise margin": (0x2010, 9, 8.0), "recording": (0x2050, 1, 1),
+    "PDO off": (0x1800, 1, 0x800001A0), "PDO on": (0x1800, 1, 0x1A0), "PDO at SYNC": (0x1800, 2, 1),
+    "cycles": (0x2001, 1, 100), "corner": (0x2001, 5, 800.0), "no corner": (0x2001, 5, 0.0),
+}  # fmt: skip
 WRITES: dict[str, list[tuple[int, int, float]]] = {
+    **{name: [write] for name, write in ONE_WRITE.items()},
     "scaling": [(0x6001, 0, 10_000), (0x6000, 0, 4)],
-    "reverse": [(0x6000, 0, 1)],
-    "preset": [(0x6003, 0, 77)],
     "cam": [(0x6310, 1, 100), (0x6320, 1, 9000), (0x6330, 1, 20), (0x6301, 1, 1)],
-    "predict": [(0x2013, 1, 1)],
-    "no prediction": [(0x2013, 1, 0)],
-    "acceleration": [(0x2010, 2, 1e4)],
-    "residual": [(0x2010, 1, 2000)],
-    "flags": [(0x2000, 6, 2)],
-    "no flags": [(0x2000, 6, 0)],
-    "low": [(0x2001, 3, 1400)],
-    "warnings": [(0x2004, 2, 0)],
-    "noise margin": [(0x2010, 9, 8.0)],
-    "recording": [(0x2050, 1, 1)],
-    "PDO off": [(0x1800, 1, 0x800001A0)],
-    "PDO on": [(0x1800, 1, 0x1A0)],
-    "PDO at SYNC": [(0x1800, 2, 1)],
-    "cycles": [(0x2001, 1, 100)],
     "delay": [(0x2002, 7, 3e-4), (0x2020, 3, 0)],
     "negative delay": [(0x2002, 7, -2e-4), (0x2020, 3, TABLE.crc32)],
     "cosine delay": [(0x2002, 6, 1e-5), (0x2020, 3, 0)],
     "no delays": [(0x2002, 6, 0.0), (0x2002, 7, 0.0), (0x2020, 3, TABLE.crc32)],
-    "corner": [(0x2001, 5, 800.0)],
-    "no corner": [(0x2001, 5, 0.0)],
 }
 FRAMES = {
     "stop": STOP,

@@ -139,6 +139,14 @@ def test_a_calibration_brings_its_conditioning(run: Callable[..., list[float]]) 
     assert run(canfb.ChainConfig(), canfb.CorrectionTable(TABLE.entries)) != wanted
 
 
+@given(st.integers(-1000, 1000), st.floats(0.16, 0.32), st.sampled_from([0, 2]))
+def test_a_missing_sample_at_the_start_is_no_standstill(whole: int, part: float, missing: int) -> None:
+    sine, cosine = counts((whole + part) * np.arange(40.0) + 0.3)
+    sine[missing] = np.nan
+    with pytest.warns(UserWarning, match="speed_cycles"):
+        assert not canfb.process(sine, cosine).ok.any()
+
+
 @given(st.integers(-1000, 1000), st.floats(0.13, 0.32), st.sampled_from([1, 2, 100]))
 def test_several_starts_that_fit_are_not_ok(whole: int, part: float, length: int) -> None:
     tracks = counts((whole + part) * np.arange(40.0) + 0.3)

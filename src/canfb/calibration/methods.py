@@ -324,7 +324,7 @@ class _Cycles:
         length = last - first + 1
         cycle = np.repeat(np.arange(len(first)), length)
         at = np.arange(len(cycle)) + np.repeat(first - np.cumsum(length) + length, length)
-        phase = _interpolate(times[cycle], np.arange(-1.0, 3.0), time[at])
+        phase = _interpolate(times[cycle], np.arange(-1.0, 3.0), time[at]) % 1.0
         return cls(conditioning, phase, cycle, raw[at], np.array(counts)[:, at])
 
     def __len__(self) -> int:
@@ -344,7 +344,7 @@ class _Cycles:
         )
 
     def waveform(self) -> Waveform:
-        place = (self.phase % 1.0 * TRACK_POINTS).astype(np.int64) % TRACK_POINTS
+        place = (self.phase * TRACK_POINTS).astype(np.int64) % TRACK_POINTS
         number = np.bincount(place, minlength=TRACK_POINTS)
         seen = number > 0
         phase, sine, cosine = (
@@ -421,10 +421,11 @@ def _finish(
 ) -> Calibration:
     waveform, odd = cycles.waveform(), cycles.cycle % 2 == 1
     curve = raw_phase_curve(waveform, cycles.conditioning)
-    halves = [cycles.take(np.arange(first, len(cycles), 2)).table() for first in (0, 1)]
+    halves = [cycles.take(np.arange(first, len(cycles), 2)).table(entries) for first in (0, 1)]
     after = cycles.off(np.where(odd, *(half.correct_array(cycles.raw) for half in halves)))
     before = cycles.off(cycles.raw)
-    noise = root_mean(after)
+    noise, errors = root_mean(after), error_curve(cycles.phase, before, after)
+    measured = max(measured, _systematic(errors, cycles.phase, noise))
     return judge(
         Calibration(
             table=table_of(curve, entries),
@@ -444,7 +445,7 @@ def _finish(
             noise_counts=noise * 2.0 * np.pi * amplitude,
             noise_cycles=noise,
             harmonics=harmonics_of(waveform, cycles.conditioning, origin_of(curve), measured),
-            curve=error_curve(cycles.phase, before, after),
+            curve=errors,
             block_samples=round(len(cycles.phase) / len(cycles)),
             tracks=mean_tracks_of(waveform, curve),
         )

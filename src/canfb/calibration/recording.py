@@ -246,8 +246,10 @@ def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | No
             return np.zeros_like(usable)
         adc_bits = fitting[0]
     full = 1 << (adc_bits - 1)
-    if low < -full or high > full - 1:
-        raise ValueError(f"samples from {low:g} to {high:g} counts do not fit {adc_bits} bits: set adc_bits")
+    if low < -full or high > full - 1 or not 4 <= adc_bits <= 16:
+        raise ValueError(
+            f"samples from {low:g} to {high:g} counts do not fit {adc_bits} bits: set adc_bits (4 to 16)"
+        )
     return np.asarray((np.minimum(s, c) <= -full) | (np.maximum(s, c) >= full - 1), np.bool_)
 
 

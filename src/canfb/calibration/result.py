@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.errors import CalibrationError
-from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.correction import Correction, CorrectionTable, check_table
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import AnyTable, Correction, CorrectionTable, correction_of
 from canfb.signal.phase import FloatArray, raw_phases, wrap
 
 IntArray = npt.NDArray[np.int64]
@@ -337,27 +337,27 @@ class Drift(NamedTuple):
     peak: float = 0.0
 
 
-def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Conditioning = IDENTITY) -> Drift:
+def drift(fresh: Calibration, table: AnyTable, conditioning: Conditioning | None = None) -> Drift:
     """Drift of the encoder measured by ``fresh`` from ``table`` and ``conditioning``.
 
     ``table`` and ``conditioning`` are the active ones; None is the identity. The constant part of
     the difference is removed, because the origin of the phase is a convention; phases by
     other conditionings are compared on the tracks. TypeError for arguments of another type.
     """
-    check_table(table)
-    if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning):
+    if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning | None):
         raise TypeError(
             "drift takes a Calibration, a CorrectionTable and a Conditioning, not "
             f"{type(fresh).__name__}, {type(table).__name__} and {type(conditioning).__name__}"
         )
-    active = CorrectionTable.identity() if table is None else table
-    if conditioning == fresh.conditioning:  # straight between the entries of both
+    used = correction_of(table, conditioning)
+    active = CorrectionTable.identity() if used.table is None else used.table
+    if used.conditioning == fresh.conditioning:  # straight between the entries of both
         was = raw = np.unique(
             np.concatenate([np.arange(len(one) + 1) / len(one) for one in (active, fresh.table)])
         )
     else:
         sine, cosine = np.append(fresh.tracks, fresh.tracks[:, :1], axis=1)
-        was, raw = (raw_phases(*one.apply(sine, cosine)) for one in (conditioning, fresh.conditioning))
+        was, raw = (raw_phases(*one.apply(sine, cosine)) for one in (used.conditioning, fresh.conditioning))
     now = fresh.table(raw)
     moved = np.abs(wrap(np.diff(now)))
     weights = (np.append(moved, 0.0) + np.append(0.0, moved)) / 2.0

@@ -81,9 +81,9 @@ class Sampling:
         """The first sample: nothing was counted since the last SYNC, whose sample may not have come."""
         if self._paused:
             self._paused = False
-            before_s, interval_s = self._interval_s, self._interval.seconds
-            same = abs(interval_s - before_s) <= AGREES * before_s
-            self._chain.resume((now - self._paused_s) / before_s + 1.0 if before_s and same else NEVER)
+            before_s = self._interval_s
+            known = before_s and abs(self._interval.seconds - before_s) <= AGREES * before_s
+            self._chain.resume((now - self._paused_s) / before_s + 1.0 if known else NEVER)
 
     def configured(self, samples_per_sync: int, timed: bool) -> None:
         """PDO parameters or the NMT state have changed: samples for each SYNC, ``timed`` or not."""

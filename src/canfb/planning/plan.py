@@ -323,10 +323,9 @@ class ResidualBudget:
 
         0.0 if the errors need the whole limit, inf if the sampling instants are known.
         """
-        motion = self.motion_cycles
-        if self.declared.residual_limit - motion < self.rest_cycles(0.0) - ROUNDING_CYCLES:
-            motion = 0.0
-        return self._speed_beside(motion + self.phase_cycles)
+        left = self.declared.residual_limit - self.motion_cycles
+        is_too_much = left < self.rest_cycles(0.0) - ROUNDING_CYCLES
+        return self._speed_beside(self.motion_cycles * (not is_too_much) + self.phase_cycles)
 
     def _speed_beside(self, needed_cycles: float) -> float:
         own_s = self.uncertainty_s - self.known_uncertainty_s

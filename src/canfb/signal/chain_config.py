@@ -164,9 +164,8 @@ class ChainConfig:
     def chain_limits(self) -> ChainLimits:
         """All limits, the residual limit narrowed by what is declared of the machine."""
         acceleration = self.max_acceleration_cycles or None
-        limit = self.residual_limit
-        if acceleration is not None:
-            limit = min(limit, acceleration + 4.0 * self.phase_error_cycles)
+        widest, error = self.residual_limit, self.phase_error_cycles
+        limit = widest if acceleration is None else min(widest, acceleration + 4.0 * error)
         return ChainLimits(
             sample=self.limits,
             cycles_per_revolution=self.cycles_per_revolution,

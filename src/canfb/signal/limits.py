@@ -27,7 +27,7 @@ def max_acceleration(
     if not 0.0 < sample_rate_hz < math.inf:
         raise ValueError(f"sample_rate_hz must be positive, not {sample_rate_hz!r}")
     limit = check_residual_limit(residual_limit)
-    return 2.0 * math.pi / cycles_per_revolution * limit * sample_rate_hz**2
+    return 2.0 * math.pi / cycles_per_revolution * limit * sample_rate_hz * sample_rate_hz
 
 
 def max_speed(cycles_per_revolution: float, jitter_s: float, residual_limit: float = 1.0 / 3.0) -> float:

@@ -188,7 +188,7 @@ def _numbers(name: str, track: npt.ArrayLike, kinds: str) -> npt.NDArray[Any]:
     if numbers.dtype.kind == "O":
         try:
             return numbers.astype(np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             pass
     raise ValueError(f"{name} must be real numbers (ADC counts), not {numbers.dtype}")
 

@@ -110,10 +110,12 @@ def from_standstill(results: Iterator[ChainResult], config: ChainConfig) -> Iter
     moves = is_known = False
     for result in results:
         if not is_known:
-            part = slice(FIRST - len(first))
-            first += result.phase[part].tolist()
-            is_known = len(first) == FIRST or not result.valid[part].all()
-            moves = is_known and bool(result.valid[part].all()) and begins_in_motion(first, config)
+            valid = result.valid
+            begin = 0 if first or not valid.any() else int(valid.argmax())  # bad ones before it are no start
+            good = np.logical_and.accumulate(valid[begin:][: FIRST - len(first)])
+            first += result.phase[begin:][: len(good)][good].tolist()
+            is_known = len(first) == FIRST or (bool(first) and not good.all())
+            moves = is_known and begins_in_motion(first, config)
         if moves:
             result.status[:] = result.status & ~np.uint16(VALID) | LOST
         yield result
@@ -285,11 +287,10 @@ FIRST = 3  # samples
 
 
 def begins_in_motion(phases: Sequence[float], config: ChainConfig) -> bool:
-    """By the first three phases, cycles, of a position that is valid; False for fewer. Warns if so."""
-    if len(phases) < FIRST:
+    """By the first two or three phases, cycles, of a valid position; False for one. Warns if so."""
+    if len(phases) < 2:
         return False
-    before, now, after = phases[:FIRST]
-    first, second = math.remainder(now - before, 1.0), math.remainder(after - now, 1.0)
+    first, second = (math.remainder(phases[n + 1] - phases[n], 1.0) for n in (0, len(phases) - 2))
     largest = config.max_acceleration_cycles or config.doubt_acceleration_cycles
     if abs(first - (second - first) / 2.0) <= 4.0 * config.phase_error_cycles + largest / 2.0:
         return False
