@@ -86,29 +86,13 @@ MAY_NAME_A_KIND = {"simulation", "calibrate", "cli"}
 # the demo and of the tools; python-can has the words of the command line, and argcomplete completes them;
 # libiio has the converter of a source, which a thread of bus waits for; rich draws the page of the monitor.
 FOREIGN: dict[str, set[str]] = {
-    "signal": {"numpy"},
-    "calibration": {"numpy"},
-    "sources": {"numpy", "iio"},
-    "interface": {"numpy"},
-    "simulation": {"numpy"},
-    "planning": {"numpy"},
-    "replay": {"numpy"},
-    "configuration": {"yaml"},
-    "marked_yaml": {"yaml"},
-    "report": {"numpy"},
-    "master": {"numpy", "canopen", "can"},
-    "sdo": {"numpy", "yaml"},
-    "calibrate": {"numpy"},
-    "commission": {"numpy"},
-    "scope": {"numpy"},
-    "bus": {"can", "canopen"},
-    "hosting": {"can"},
-    "logfile": {"can"},
-    "logs": {"numpy", "pyarrow"},
-    "demo": {"numpy", "canopen"},
-    "monitoring": {"can", "rich"},
-    "cli": {"can", "argcomplete", "rich"},
-}
+    "signal": {"numpy"}, "calibration": {"numpy"}, "sources": {"numpy", "iio"}, "interface": {"numpy"},
+    "simulation": {"numpy"}, "planning": {"numpy"}, "replay": {"numpy"}, "configuration": {"yaml"},
+    "marked_yaml": {"yaml"}, "report": {"numpy"}, "master": {"numpy", "canopen", "can"},
+    "sdo": {"numpy", "yaml"}, "calibrate": {"numpy"}, "commission": {"numpy"}, "scope": {"numpy"},
+    "bus": {"can", "canopen"}, "hosting": {"can"}, "logfile": {"can"}, "logs": {"numpy", "pyarrow"},
+    "demo": {"numpy", "canopen"}, "monitoring": {"can", "rich"}, "cli": {"can", "argcomplete", "rich"},
+}  # fmt: skip
 # Clocks, threads and sockets have two places, and the files beyond them that wait for a bus or a browser.
 WITH_A_CLOCK = {"logfile/bus_logs.py", "logs/log_replay.py", "monitoring/watching.py",
                 "monitoring/sdo_reading.py", "scope/page_server.py"}  # fmt: skip

@@ -21,16 +21,10 @@ SYNC, SAMPLE = Frame(0x080, b""), Frame(0x190, bytes(4))
 START, MASTER_LSS, SLAVE_LSS = Frame(0x000, b"\x01\x00"), 0x7E5, 0x7E4
 
 CONSTANTS = {
-    0x1000: "device type",
-    0x1008: "name of the device",
-    0x1009: "version",
-    0x100A: "version",
-    0x1018: "identity",
-    0x1022: "format of 1021h: plain text",
-    0x6504: "alarms that there are",
-    0x6506: "warnings that there are",
-    0x6507: "versions",
-}
+    0x1000: "device type", 0x1008: "name of the device", 0x1009: "version", 0x100A: "version",
+    0x1018: "identity", 0x1022: "format of 1021h: plain text", 0x6504: "alarms that there are",
+    0x6506: "warnings that there are", 0x6507: "versions",
+}  # fmt: skip
 """Objects whose default in the EDS is all there is to them: no code reads or writes them."""
 CONSTANT_ENTRIES = {(0x650A, 1): "offset of the manufacturer: none"}
 NOT_OFFERED = {

@@ -455,3 +455,63 @@ def test_the_speeds_at_the_start_are_those_of_the_page() -> None:
     module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32))
     assert module.speed_limit().endswith("200 rpm at ±10 µs, 20 rpm at ±100 µs")
     assert canfb.FeedbackModule(canfb.ModuleConfig(node_id=32, times=True)).speed_limit() == ""
+
+
+def creeping(speed: float) -> Motion:
+    """From standstill to ``speed``, cycles per period, in 5 periods."""
+    return lambda at: speed * (max(at - 1.0, 0.0) ** 2 / 10.0 if at < 6.0 else at - 3.5)
+
+
+def test_two_syncs_lost_before_the_period_is_known_lose_the_position() -> None:
+    machine = Machine(True, creeping(0.5))
+    machine.run(1, 6)
+    machine.run(8, 60)
+    assert machine.right()
+
+
+@pytest.mark.parametrize("times", [False, True])
+@pytest.mark.parametrize("overflow", [0, 10])
+def test_a_pause_that_waits_for_a_late_host_is_as_long_as_it_was(times: bool, overflow: int) -> None:
+    """NMT stop and start, and all frames beside them, in one burst of a host that has slept 12 periods."""
+    machine = Machine(False, creeping(0.1), times=times, overflow=overflow)
+    machine.run(1, 60)
+    machine.bus.now = 72.0 * PERIOD_S  # and no deadline was served
+    for k in range(60, 72):
+        for command in {61: [2], 70: [1]}.get(k, []):
+            machine.sent(Frame(0, bytes([command, NODE])))
+        machine.sent(Frame(0x80, bytes([(k - 1) % overflow + 1]) if overflow else b""))
+        machine.sampled = k
+        data = struct.pack("<hhI", *counts_at(machine.motion(k)), round(k * PERIOD_S * 1e7))
+        machine.sent(Frame(0x180 + INTERFACE, data[: machine.sample_bytes]))
+    machine.run(72, 100)
+    assert machine.right()
+
+
+def test_an_answer_to_a_sync_before_the_start_is_none_after_it() -> None:
+    """Behind 8 SYNCs, as 2010:0E declares; NMT stop and start just before it."""
+    machine = Machine(True, creeping(0.1))
+    machine.sdo[0x2010][14].raw = 8.65 * PERIOD_S
+    for k in range(1, 160):
+        if k == 100:
+            machine.give(Frame(0, bytes([2, NODE])), k + 0.25)
+            machine.give(Frame(0, bytes([1, NODE])), k + 0.27)
+        if k > 8:
+            machine.sample(k - 8, k + 0.3)
+        machine.sync_at(k + 1)
+    assert machine.right()
+
+
+REQUEST = Frame(0x180 + NODE, b"", True)
+
+
+def test_nothing_valid_is_sent_on_request_when_sync_has_stopped() -> None:
+    machine = Machine(True, creeping(0.1), entries={(0x1800, 1): 0x800001A0})
+    machine.sdo[0x1800][2].raw = 252
+    machine.sdo[0x1800][1].raw = 0x1A0
+    machine.run(1, 60)
+    for at, answers in ((60.0, 1), (80.0, 0)):
+        machine.until(at)
+        assert (
+            sum(frame.can_id == 0x180 + NODE for frame in machine.module.receive(REQUEST, at * PERIOD_S))
+            == answers
+        )

@@ -40,6 +40,10 @@ class Pdos:
         for tpdo in self.tpdos.values():
             tpdo.enable(operational, now)
 
+    def forget_sampled(self) -> None:
+        for tpdo in self.tpdos.values():
+            tpdo.sampled = None
+
     def add_routes(self, routes: Routes) -> None:
         for rpdo in self.rpdos.values():
             routes.add(rpdo.can_id, rpdo.handle)

@@ -270,6 +270,7 @@ class FeedbackModule(NodeDevice):
     def overdue(self, now: float) -> None:
         """No SYNC and no sample for 2010:06 periods."""
         self.events.sync_lost(self._syncs.synced_s, now)
+        self._life.services.pdos.forget_sampled()  # a remote request would get a position that was valid
         self._sampling.overdue(now)
 
     def check_write(self, entry: Entry | None) -> None:

@@ -33,8 +33,7 @@ MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
 class Pairing(ProcessData):
     """SYNCs and RPDOs in, feedback out. All times are receive times where the bus gives them.
 
-    With a ``source`` each SYNC is answered by it, and RPDOs are not looked at. ``observers`` see each sample
-    and each one that was missed.
+    With a ``source`` it answers each SYNC, and RPDOs do not. ``observers`` see each sample and each miss.
     """
 
     def __init__(
@@ -331,6 +330,8 @@ class Pairing(ProcessData):
         call, syncs, answers, chain = self._call, self.syncs, self.answers, self._chain
         place, parts = syncs.place, self._input
         if not self._synced:
+            if answers.waits:  # it answers a SYNC before the start
+                return None
             verdict = syncs.sync(call.received, call.is_stamped, None)  # each is its own
             if verdict is not USUAL:
                 self._limits.follow()
@@ -354,8 +355,7 @@ class Pairing(ProcessData):
                 self.count_bad_frame()
                 return None
             if later > 0:
-                self._pass_lost(later, now)
-                # It may still come.
+                self._pass_lost(later, now)  # it may still come
                 self._ambiguous = call.received < syncs.grid.due - syncs.grid.period + syncs.grid.allowed
             place += later
         elif syncs.grid.period:
@@ -404,7 +404,7 @@ class Pairing(ProcessData):
             self._timed(sample, now)
             return
         self._sample_came, self._tracks_came = 1, False
-        judged = self._input.judged is not None
+        judged = self._input.judged is not None and self._source is None
         self._take(sample, self._elapsed if judged else self._answer(self.syncs.place), now)
 
     def _timed(self, sample: Sample, now: float) -> None:

@@ -62,7 +62,8 @@ class Sampling:
         """OPERATIONAL ends, or samples come in another way: what SDO reads is not valid."""
         self._publishing.withhold()
         if not self._paused:
-            self._paused_s = self._syncs.synced_s if self._syncs.begun else now
+            grid = self._syncs.grid  # the call of a late host may be later than the SYNC
+            self._paused_s = min(self._syncs.synced_s, grid.due - grid.period) if self._syncs.begun else now
             self._interval_s = self._interval.seconds
         self._pairing.begin()
 

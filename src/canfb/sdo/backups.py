@@ -196,9 +196,7 @@ def _scalar(entry: ObjectDescription, value: Any) -> str:
         return _dumped(value, default_style='"', allow_unicode=False, width=float("inf")).strip()
     if isinstance(value, float):
         return _dumped(short_real(value, entry.data_type)).splitlines()[0]
-    if entry.holds_bits:
-        return f"0x{value:08X}"
-    return _dumped(value).splitlines()[0]
+    return f"0x{value:08X}" if entry.holds_bits else _dumped(value).splitlines()[0]
 
 
 def _dumped(content: Any, **options: Any) -> str:

@@ -67,9 +67,7 @@ def raw_phase(s: float, c: float) -> float:
         return 0.5 + 0.125 * (s / c)
     if s > 0.0:
         return 0.25 - 0.125 * (c / s)
-    if s < 0.0:
-        return 0.75 - 0.125 * (c / s)
-    return math.nan
+    return 0.75 - 0.125 * (c / s) if s < 0.0 else math.nan
 
 
 def raw_phases(s: FloatArray, c: FloatArray) -> FloatArray:

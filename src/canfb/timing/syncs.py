@@ -189,8 +189,9 @@ class Syncs:
             grid.begin(time_s)
             return self._taken(stamped, missing or 0, doubt=1.0)
         if not grid.period:
+            places = apart_s / (grid.rough or inf) if stamped and missing is None else 1.0
             grid.learn(time_s) if stamped else grid.learn_earliest(time_s, self.expected_s())
-            return self._taken(stamped, missing or 0)
+            return self._taken(stamped, missing or 0, doubt=places if places > 1.0 + HALF else 0.0)
         return (self._by_time if stamped else self._by_order)(time_s, missing)
 
     def _missing(self, counter: int | None) -> int | None:

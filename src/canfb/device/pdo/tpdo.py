@@ -86,7 +86,7 @@ class Tpdo(Timed):
         self._waits_for_start = self._start_value.value > 0
         self.at_sync = self.send if self._type == 1 and not self._waits_for_start else self.synchronise
         self._syncs = 0
-        self._sampled: bytes | None = None
+        self.sampled: bytes | None = None  # at the last SYNC, for a remote request
         self._schedule()
 
     def trigger(self, now: float) -> None:
@@ -98,7 +98,7 @@ class Tpdo(Timed):
 
     def synchronise(self, now: float, counter: int | None) -> None:
         if self._type == SYNC_REMOTE:
-            self._sampled = self._pack()
+            self.sampled = self._pack()
         elif self._is_turn(counter):
             self.send(now)
 
@@ -110,8 +110,8 @@ class Tpdo(Timed):
 
     def request(self, now: float) -> None:
         if self._type == SYNC_REMOTE:
-            if self._sampled is not None:
-                self._emit(Frame(self._can_id, self._sampled))
+            if self.sampled is not None:
+                self._emit(Frame(self._can_id, self.sampled))
         elif self._event_driven:
             self.trigger(now)
         else:

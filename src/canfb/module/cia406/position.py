@@ -95,9 +95,7 @@ LOWEST, HIGHEST = -0x8000, 0x7FFF
 
 def saturated(value: float) -> int:
     """The nearest INTEGER16; 0 for no number."""
-    if math.isnan(value):
-        return 0
-    return round(max(float(LOWEST), min(value, float(HIGHEST))))
+    return 0 if math.isnan(value) else round(max(float(LOWEST), min(value, float(HIGHEST))))
 
 
 def show_motion(

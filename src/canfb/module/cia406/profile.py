@@ -169,9 +169,7 @@ class EncoderProfile:
 
     def _raw_position(self) -> int:
         last, scale = self._latest.feedback, self._raw_scale
-        if last is None:
-            return 0
-        return scale.units(*self._latest.place(last)) % scale.total_range
+        return 0 if last is None else scale.units(*self._latest.place(last)) % scale.total_range
 
     def _preset(self, written: Entry) -> None:
         value = written.value
