@@ -46,17 +46,12 @@ SIGNATURES = {
     "eds_path": ["name"],
 }
 DEFAULTS = {
-    ("Tracker", "residual_limit"): 1 / 3,
-    ("Tracker.update", "elapsed"): 1.0,
-    ("track", "residual_limit"): 1 / 3,
-    ("process", "table"): None,
-    ("process", "residual_limit"): 1 / 3,
+    ("Tracker", "residual_limit"): 1 / 3, ("Tracker.update", "elapsed"): 1.0,
+    ("track", "residual_limit"): 1 / 3, ("process", "table"): None, ("process", "residual_limit"): 1 / 3,
     ("calibrate_from_zero_crossings", "conditioning"): None,
-    ("calibrate_from_motion", "conditioning"): None,
-    ("max_acceleration", "residual_limit"): 0.5,
-    ("Frame", "rtr"): False,
-    ("Frame", "timestamp"): None,
-}
+    ("calibrate_from_motion", "conditioning"): None, ("max_acceleration", "residual_limit"): 0.5,
+    ("Frame", "rtr"): False, ("Frame", "timestamp"): None,
+}  # fmt: skip
 
 
 def signature_of(name: str) -> inspect.Signature:

@@ -96,19 +96,13 @@ def test_every_command_has_examples() -> None:
 
 LINES = {
     "dump 0x20 --log x.asc --pdo": "monitor --frames 0x20 --log x.asc --pdo",
-    "--debug scope x.yaml": "--debug monitor --web x.yaml",
-    "scope --demo": "try",
+    "--debug scope x.yaml": "--debug monitor --web x.yaml", "scope --demo": "try",
     "diagnose feedback.yaml --answer-within 2": "why --bundle feedback.yaml --timeout 2",
-    "bus scan -c can0": "node list -c can0",
-    "why 5 --answer-within=2": "why 5 --timeout=2",
-    "nmt start all": "node start all",
-    "nmt reset-comm 5": "node reset --communication 5",
-    "reset 0x20 --force": "node reset 0x20 --force",
-    "record bus.log": "log record bus.log",
-    "replay bus.log --module 5": "log replay 5 bus.log",
-    "interface adc.yaml": "run adc.yaml",
-    "table upload 32 t.yaml": "table write 32 t.yaml",
-    "table download 32 t.yaml": "table read 32 t.yaml",
+    "bus scan -c can0": "node list -c can0", "why 5 --answer-within=2": "why 5 --timeout=2",
+    "nmt start all": "node start all", "nmt reset-comm 5": "node reset --communication 5",
+    "reset 0x20 --force": "node reset 0x20 --force", "record bus.log": "log record bus.log",
+    "replay bus.log --module 5": "log replay 5 bus.log", "interface adc.yaml": "run adc.yaml",
+    "table upload 32 t.yaml": "table write 32 t.yaml", "table download 32 t.yaml": "table read 32 t.yaml",
     "backup 0x20 b.yaml": "backup save 0x20 b.yaml",
     "restore b.yaml --node=0x21": "backup restore 0x21 b.yaml",
     "calibrate f.yaml --module 0x20 --sync 100 --no-save": "calibrate 0x20 f.yaml --rate 100",
@@ -116,12 +110,10 @@ LINES = {
     "calibrate --rate=1000 --samples=a.csv": "calibrate --sample-rate=1000 --samples=a.csv",
     "calibrate 5 --rate 1000": "calibrate 5 --rate 1000",
     "commission --module 5 --sync 100": "commission 5 --rate 100",
-    "simulate f.yaml --module 33": "simulate 33 f.yaml",
-    "config dcf --node 3": "config dcf 3",
-    "monitor --rate 5": "monitor --updates 5",
-    "try --no-scope": "try --no-page",
+    "simulate f.yaml --module 33": "simulate 33 f.yaml", "config dcf --node 3": "config dcf 3",
+    "monitor --rate 5": "monitor --updates 5", "try --no-scope": "try --no-page",
     "demo --json": "try --story --json",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("old", LINES)

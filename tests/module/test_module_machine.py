@@ -33,16 +33,11 @@ FAULTS = ("weak", "edge", "strong", "clipped", "glitch", "invalid")
 CONFIRMED, AT_REST, STANDING = 30, 20, 300  # samples; the last ends a loss
 # What concerns others than the position PDO: index, sub-index, type, value.
 WRITES = {
-    "recording": (0x2050, 1, "B", 1),
-    "no recording": (0x2050, 1, "B", 2),
-    "cam": (0x6310, 1, "i", 100),
-    "cams on": (0x6301, 1, "B", 1),
-    "predict": (0x2013, 1, "B", 1),
-    "noise margin": (0x2010, 9, "B", 8),
-    "heartbeat": (0x1017, 0, "H", 7),
-    "guard of 1016h": (0x1016, 1, "I", 0x100010),
+    "recording": (0x2050, 1, "B", 1), "no recording": (0x2050, 1, "B", 2), "cam": (0x6310, 1, "i", 100),
+    "cams on": (0x6301, 1, "B", 1), "predict": (0x2013, 1, "B", 1), "noise margin": (0x2010, 9, "B", 8),
+    "heartbeat": (0x1017, 0, "H", 7), "guard of 1016h": (0x1016, 1, "I", 0x100010),
     "refused": (0x2001, 1, "I", 0),
-}
+}  # fmt: skip
 COUNTER_MISSED, COUNTER_BAD_FRAMES, COUNTER_DOUBLED_SYNCS = (0x2012, 1), (0x2012, 8), (0x2012, 13)
 TURNING = st.floats(0.03, 0.12) | st.floats(0.12, 3.0) | st.floats(-3.0, -0.03)
 STATUS_WORD, FLAGS = (0x2011, 1), (0x2000, 6, "B")

@@ -515,3 +515,25 @@ def test_nothing_valid_is_sent_on_request_when_sync_has_stopped() -> None:
             sum(frame.can_id == 0x180 + NODE for frame in machine.module.receive(REQUEST, at * PERIOD_S))
             == answers
         )
+
+
+def test_a_sync_off_the_grid_is_that_of_its_own_sample() -> None:
+    """A synchronous RPDO: the sample that waits for it is of the SYNC before."""
+    machine = Machine(True, ramped(0.8), entries={(0x1400, 2): 1})
+    for k in (*range(1, 60), 60.3, 61.35, *range(62, 110)):
+        machine.sync_at(k)
+        machine.sample(k)
+    assert machine.right()
+    assert machine.positions[-1].valid
+
+
+def test_a_part_that_waits_for_sync_ends_its_sample_before_those_that_are_missing() -> None:
+    machine = Machine(True, creeping(0.25), entries={(0x2010, 3): 9, (0x2010, 6): 10})
+    machine.remote.nmt.state = "PRE-OPERATIONAL"
+    machine.map_rpdo2(0x20000608)
+    machine.sdo[0x1401][2].raw = 1
+    machine.start()
+    for k in (*range(1, 60), *range(63, 110)):
+        machine.cycle(k)
+        machine.sent(Frame(0x290, b"\0"))
+    assert all(abs(one.cycles - one.truth) < 0.5 for one in machine.positions[70:] if one.valid)

@@ -127,7 +127,6 @@ class Pairing(ProcessData):
         self.usual = NO_RPDO
         if verdict.extra:
             return self._extra_sync(verdict, now, waiting)
-        self._off = verdict.off
         self._begin_interval(verdict, counter, now, waiting, after_extra)
         if self._prediction.extrapolates and self._source is None:
             last, behind = self._publishing.last, max(1, syncs.place - self._accounted)
@@ -154,6 +153,7 @@ class Pairing(ProcessData):
         due = place - 1 - self.answers.waits  # the last place whose sample had to come
         if verdict != USUAL or late or waiting or self._ambiguous or due > self._accounted:
             self._account(verdict, counter, now, waiting, due)
+        self._off = verdict.off  # a sample that waited for this SYNC is of the one before
         if self._second.number is not None:
             self._second.interval_over(not (verdict.lost or late or after_extra))
         nothing_came = not (self._sample_came or self._tracks_came)
@@ -213,10 +213,11 @@ class Pairing(ProcessData):
         self._ambiguous = False
         if doubt and not self.timed:  # sample times know how long it was
             self._lose_count(doubt, now)
-        if due > self._accounted:
+        if parts.is_synchronous and due > self._accounted:
             self._miss_to(due, now)
-        for rpdo in waiting:
+        for rpdo in waiting:  # where tracks do not wait, the sample is from before those that are missing
             rpdo.synchronise(now)
+        self._miss_to(max(due, self._accounted), now)
 
     def _heard_of(self, unheard: int) -> int:
         """How many SYNCs not received are answered, by several samples with their time since the last one."""
@@ -412,8 +413,7 @@ class Pairing(ProcessData):
         nor one that is too near to the last, though it did come.
         """
         call, syncs, source = self._call, self.syncs, self._source
-        # Not known of a source, and of a synchronous RPDO.
-        place, received_s, synced_s = syncs.place, None, None
+        place, received_s, synced_s = syncs.place, None, None  # as of a source, or a synchronous RPDO
         if not self._input.is_synchronous and source is None:
             received_s = call.received if call.is_stamped else None
             is_first = self._synced and not (self._sample_came or syncs.extra_came)

@@ -180,7 +180,8 @@ class Reference:
         if not lost or not self.zero.knows(pulse) or (self.had_position and not self.zero.referenced):
             return bits, 0
         first, self._first_pulse = self._first_pulse, pulse
-        if self.had_position and (first is None or not self.zero.agree(first, pulse)):
+        is_alone = first is None or not self.zero.agree(first, pulse)
+        if is_alone and (self.had_position or self._range_from_zero):
             return bits, 0
         jump = -self.zero.error_cycles(pulse)
         if self._refutes(pair, jump):
