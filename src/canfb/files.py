@@ -25,7 +25,8 @@ def check_writable(path: Path, option: str = "") -> None:
     name = f"{option} {path}".strip()
     if path.is_dir():
         raise ConfigError(f"{name}: cannot be written: it is a folder")
-    if path.is_file() and re.search(rb"^(bus|modules|interfaces):", path.read_bytes()[:4096], re.MULTILINE):
+    is_small = path.is_file() and path.stat().st_size < 1 << 16  # as a configuration is
+    if is_small and re.search(rb"^(bus|modules|interfaces):", path.read_bytes(), re.MULTILINE):
         raise ConfigError(f"{name}: is a configuration, and would be replaced: give another name")
     if not path.parent.is_dir():
         raise ConfigError(f"{name}: there is no folder {path.parent}")

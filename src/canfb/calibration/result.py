@@ -340,9 +340,10 @@ class Drift(NamedTuple):
 def drift(fresh: Calibration, table: AnyTable, conditioning: Conditioning | None = None) -> Drift:
     """Drift of the encoder measured by ``fresh`` from ``table`` and ``conditioning``.
 
-    ``table`` and ``conditioning`` are the active ones; None is the identity. The constant part of
-    the difference is removed, because the origin of the phase is a convention; phases by
-    other conditionings are compared on the tracks. TypeError for arguments of another type.
+    ``table`` (or a calibration) and ``conditioning`` are the active ones; None is the identity. The constant
+    part of the difference is removed, because the origin of the phase is a convention; phases by other
+    conditionings are compared on the tracks. TypeError for other types, ValueError for the table of a
+    calibration alone.
     """
     if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning | None):
         raise TypeError(

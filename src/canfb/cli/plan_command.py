@@ -85,8 +85,11 @@ def register(commands: Commands) -> None:
 
 def plan(options: argparse.Namespace) -> int:
     try:
-        path, alike = options.config, modules_alike(options.modules, options.adc_bits)
-        config = numbered(load_config(path)) if path else alike
+        config = (
+            modules_alike(options.modules, options.adc_bits)
+            if options.config is None
+            else numbered(load_config(options.config))
+        )
         options.jitter_us = options.jitter and jitter_s(options, options.rate_hz) * 1e6
         overrides = PlanOptions(**{field.name: getattr(options, field.name) for field in fields(PlanOptions)})
         found = plan_of(config, [saved_configuration(one) for one in config.modules], overrides)

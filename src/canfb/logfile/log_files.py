@@ -106,6 +106,9 @@ class LogCounters:
     channels: set[str] = field(default_factory=set)
     left_out: defaultdict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
 
+    def left_out_of(self, can_ids: Collection[int]) -> int:
+        return sum(one[can_id] for one in self.left_out.values() for can_id in can_ids)
+
     def damaged(self, line: int) -> None:
         self.damaged_lines += 1
         self.first_damaged_line = min(line, self.first_damaged_line or line)

@@ -241,9 +241,7 @@ def replay_log(
     for replay, track, module in zip(replays, tracks, settings.modules, strict=True):
         replay.close()
         drift = track.drift(replay.module.chain.correction, module.adc_bits) if settings.drift else None
-        ours = replay.own_can_ids
-        left_out = sum(one[can_id] for one in log.counters.left_out.values() for can_id in ours)
-        results.append(ReplayResult(replay, drift, left_out))
+        results.append(ReplayResult(replay, drift, log.counters.left_out_of(replay.own_can_ids)))
     return log, results
 
 

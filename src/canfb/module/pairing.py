@@ -33,7 +33,7 @@ MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
 class Pairing(ProcessData):
     """SYNCs and RPDOs in, feedback out. All times are receive times where the bus gives them.
 
-    With a ``source`` it answers each SYNC, and RPDOs do not. ``observers`` see each sample and each miss.
+    With a ``source`` it answers each SYNC, and RPDOs do not. ``observers`` see samples and misses.
     """
 
     def __init__(

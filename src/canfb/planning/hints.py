@@ -17,7 +17,6 @@ from canfb.view.module_view import LIMIT_UNITS
 LEAVES = 0.95  # of the largest SYNC rate, of what is sharp
 FASTER = 1.05
 MOST_FASTER = 40  # steps of FASTER: 7 times the rate
-JUST_BELOW = 0.9995  # four digits are rounded by no more
 KNOWN_ENOUGH = 1.1  # what the module knows over what is given
 NOISE_MARGIN = 6  # docs/supervision.md
 NARROWED = 0.95  # of the residual limit: a gain
@@ -87,7 +86,7 @@ def _of_the_bus(plan: Plan) -> Ways:
 def _of_the_speed(plan: Plan) -> Ways:
     yield from _times(plan)
     yield from _table(plan)
-    rpm = float(f"{min(one.largest_speed_rad_s for one in plan.budgets) * RPM * JUST_BELOW:.4g}")
+    rpm = _as_shown(min(one.largest_speed_rad_s for one in plan.budgets) * RPM)
     if rpm > 0.0:
         yield f"turn at {rpm:.4g} rpm at most", replace(plan, speed_rad_s=rpm / RPM)
 
@@ -104,7 +103,7 @@ def _of_the_motion(plan: Plan) -> Ways:
     yield from _table(plan)
     yield from _faster(plan)
     yield from _more_samples(plan)
-    most = float(f"{min(one.largest_acceleration_rad_s2 for one in plan.budgets) * JUST_BELOW:.4g}")
+    most = _as_shown(min(one.largest_acceleration_rad_s2 for one in plan.budgets))
     if 0.0 < most < asked:
         gentler = replace(plan, acceleration_rad_s2=most, is_final=True)
         yield f"accelerate by {most:.4g} rad/s^2 at most", gentler
@@ -177,6 +176,10 @@ def _sharper(plan: Plan) -> Ways:
     if taken > least:
         rate_hz = float(rounded_up(plan.sync_hz * math.sqrt(taken / least)))
         yield f"raise the SYNC rate to {rate_hz:g} Hz", replace(plan, sync_hz=rate_hz)
+
+
+def _as_shown(most: float) -> float:
+    return float(f"{most * 0.9995:.4g}")  # four digits are rounded by no more
 
 
 def _narrowed(plan: Plan, place: od.Multiplexer, value: float, name: str) -> tuple[str, Plan]:

@@ -324,8 +324,8 @@ class ResidualBudget:
         0.0 if the errors need the whole limit, inf if the sampling instants are known.
         """
         left = self.declared.residual_limit - self.motion_cycles
-        is_too_much = left < self.rest_cycles(0.0) - ROUNDING_CYCLES
-        return self._speed_beside(self.motion_cycles * (not is_too_much) + self.phase_cycles)
+        motion = 0.0 if left < self.rest_cycles(0.0) - ROUNDING_CYCLES else self.motion_cycles
+        return self._speed_beside(motion + self.phase_cycles)
 
     def _speed_beside(self, needed_cycles: float) -> float:
         own_s = self.uncertainty_s - self.known_uncertainty_s

@@ -287,7 +287,7 @@ class SignalChain:
         next_one = elapsed + times.waited < HOLE_INTERVALS
         # Of several samples the earlier ones lie in one interval of SYNC, that of the times or another.
         placed = self._per_sync == 1 or abs(passed - counted) < HOLE_INTERVALS - 1.0
-        if self.measures_intervals or (not placed and self.slips(passed - counted)):
+        if self.measures_intervals or (not placed and self.slips(abs(passed - counted))):
             elapsed = passed - times.waited  # what was waited for is counted already
         times.waited = self._left_out = 0.0
         return self.after(sample, elapsed, placed=placed, next_one=next_one)

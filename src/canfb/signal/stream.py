@@ -201,8 +201,11 @@ class Stream:
         if not self._supervised:
             raw = result.phase if self._table is None else scratch.raw
         with np.errstate(over="ignore", invalid="ignore"):
-            conditioning = self._conditioning
-            s, c = conditioning.apply_block(sine, cosine, scratch) if conditioning else (sine, cosine)
+            s, c = (
+                (sine, cosine)
+                if self._conditioning is None
+                else self._conditioning.apply_block(sine, cosine, scratch)
+            )
             if self._supervised:
                 _amplitudes(s, c, amplitude, scratch)
             raw_phase_block(s, c, raw, scratch)
