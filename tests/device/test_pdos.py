@@ -272,18 +272,15 @@ class TimerModel:
     """When an event-driven TPDO is sent (CiA 301, 7.2.2): inhibit time and event timer, seconds; 0: none."""
 
     def __init__(self, inhibit_s: float, timer_s: float) -> None:
-        self.inhibit_s, self.timer_s = inhibit_s, timer_s
+        self.inhibit_s, self.timer_s = inhibit_s, timer_s or inf
         self.sent: list[float] = []
-        self.waits, self.not_before, self.timer_end = False, -inf, timer_s or inf
+        self.waits, self.not_before, self.timer_end = False, -inf, self.timer_s
 
     def ask(self, now: float) -> None:
-        if now < self.not_before:
-            self.waits = True
-            return
-        self.waits = False
-        self.sent.append(now)
-        self.not_before = now + self.inhibit_s if self.inhibit_s else -inf
-        self.timer_end = now + self.timer_s if self.timer_s else inf
+        self.waits = now < self.not_before
+        if not self.waits:
+            self.sent.append(now)
+            self.not_before, self.timer_end = now + self.inhibit_s, now + self.timer_s
 
     def advance(self, end: float) -> None:
         while (due := min(self.not_before if self.waits else inf, self.timer_end)) <= end:
@@ -292,7 +289,7 @@ class TimerModel:
             self.ask(due)
 
 
-STEPS = st.lists(st.tuples(st.integers(0, 40), st.sampled_from(["event", "remote", "none"])), max_size=25)
+STEPS = st.lists(st.tuples(st.integers(0, 40), st.sampled_from(["event", "rtr", "timer", ""])), max_size=25)
 
 
 @given(st.integers(0, 30), st.integers(0, 50), STEPS)
@@ -307,7 +304,10 @@ def test_any_events_are_sent_as_the_model_says(
     for wait_ms, what in steps:
         seen += [at for at, _ in bench.run(wait_ms / 1000)]
         model.advance(bench.now)
-        if what != "none":
+        if what == "timer":  # written again: it begins, and an event that waits still waits
+            assert bench.write(0x1801, 5, timer_ms, 2) == OK
+            model.timer_end = bench.now + model.timer_s
+        elif what:
             model.ask(bench.now)
             if what == "event":
                 bench.node.trigger_tpdo(2, bench.now)

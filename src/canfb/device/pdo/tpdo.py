@@ -55,7 +55,7 @@ class Tpdo(Timed):
             lambda value: self.parameters.is_valid or value > _LARGEST_START
         )
         self._event_timer.on_written = self._written
-        self._not_before = -NEVER
+        self._event, self._not_before = False, -NEVER
         self.enable(False, 0.0)
 
     @property
@@ -82,7 +82,7 @@ class Tpdo(Timed):
         if not self._inhibit_s:
             self._not_before = -NEVER
         self._timer_end = now + self._timer_s if self._timer_s else NEVER
-        self._event = False
+        self._event &= self._is_active  # it still waits where another timer is written
         self._waits_for_start = self._start_value.value > 0
         self.at_sync = self.send if self._type == 1 and not self._waits_for_start else self.synchronise
         self._syncs = 0
