@@ -83,11 +83,11 @@ class Encoder(TrackErrors):
         self, position_cycles: npt.ArrayLike, hertz: npt.ArrayLike = 0.0
     ) -> tuple[FloatArray, FloatArray]:
         """Analog tracks in counts, before noise and ADC; any shape. ``hertz`` is the speed, cycles/s."""
-        path, speed = self.path, 2.0 * np.pi * np.asarray(hertz, np.float64)
-        x = 2.0 * np.pi * np.asarray(np.mod(position_cycles, 1.0), np.float64) - speed * path.delay_s
+        path, speed = self.path, np.multiply(2.0 * np.pi, hertz)
+        x = 2.0 * np.pi * np.mod(position_cycles, 1.0, dtype=np.float64) - speed * path.delay_s
         y = x + speed * path.cosine_delay_s
         waves = (Harmonic(1, 1.0, 1.0, 0.0, -self.phase_error_rad), *self.harmonics)
-        sine, cosine = np.zeros(x.shape), np.zeros(x.shape)
+        sine, cosine = 0.0 * x, 0.0 * y
         for h in waves:
             sine = sine + h.sine * _left(np.sin, h.order, x, h.sine_shift_rad, hertz, path.sine_corner_hz)
             cosine = cosine + h.cosine * _left(
@@ -107,27 +107,24 @@ class Encoder(TrackErrors):
         """ADC counts at these positions (cycles), signed, zero at mid-scale; without noise if ``rng`` is
         None.
         """
-        sine, cosine = self.tracks(position_cycles, hertz)
+        full, tracks = 1 << (self.adc_bits - 1), np.array(self.tracks(position_cycles, hertz))
         if rng is not None and self.noise_lsb > 0.0:
-            sine = sine + rng.normal(0.0, self.noise_lsb, np.shape(sine))
-            cosine = cosine + rng.normal(0.0, self.noise_lsb, np.shape(cosine))
-        return self._convert(sine), self._convert(cosine)
-
-    def _convert(self, track: FloatArray) -> npt.NDArray[np.int64]:
-        full = 1 << (self.adc_bits - 1)
+            tracks += rng.normal(0.0, self.noise_lsb, tracks.shape)
         # np.clip takes ten times as long for a single number.
-        return np.minimum(np.maximum(np.rint(track), -full), full - 1).astype(np.int64)
+        sine, cosine = np.minimum(np.maximum(np.rint(tracks), -full), full - 1).astype(np.int64)
+        return sine, cosine
 
 
 def _left(
     wave: np.ufunc, order: int, x: FloatArray, shift_rad: float, hertz: npt.ArrayLike, corner_hz: float
 ) -> FloatArray:
-    if not corner_hz:
-        return np.asarray(wave(order * x + shift_rad), np.float64)
-    ratio = order * np.asarray(hertz, np.float64) / corner_hz
-    return np.asarray(
-        wave(order * x + shift_rad - np.arctan(ratio)) / np.sqrt(1.0 + ratio * ratio), np.float64
-    )
+    angle_rad = order * x + shift_rad
+    if corner_hz:
+        ratio = np.multiply(order, hertz) / corner_hz
+        track: FloatArray = wave(angle_rad - np.arctan(ratio)) / np.sqrt(1.0 + ratio * ratio)
+    else:
+        track = wave(angle_rad)
+    return track
 
 
 def demo_encoder() -> Encoder:
@@ -282,7 +279,7 @@ class Ripple(NamedTuple):
     def swing(self, time_s: npt.ArrayLike) -> FloatArray | float:
         """In revolutions."""
         omega = 2.0 * math.pi * self.frequency_hz
-        return self.size_rpm / 60.0 * (1.0 - np.cos(omega * np.asarray(time_s))) / omega
+        return self.size_rpm / 60.0 * (1.0 - np.cos(np.multiply(omega, time_s))) / omega
 
 
 class Motion:
