@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from canfb import objects as od
 from canfb.calibration.over_speeds import sampled_together, speeds
-from canfb.calibration.recording import Recording, recording
+from canfb.calibration.recording import Recording, recorded_tracks, recording
 from canfb.master.access import (
     CommissioningError,
     Master,
@@ -62,12 +62,6 @@ class TrackSamples:
     ) -> TrackSamples:
         """Pairs of -32768 are missed. ValueError for different lengths."""
         return cls(*with_gaps(sine, cosine), rate_hz, origin)
-
-    @classmethod
-    def from_bytes(cls, data: bytes, rate_hz: float | None, origin: str) -> TrackSamples:
-        """From 2050:03: pairs of INTEGER16, little-endian."""
-        pairs = np.frombuffer(data[: len(data) // 4 * 4], "<i2").reshape(-1, 2)
-        return cls.of(pairs[:, 0], pairs[:, 1], rate_hz, origin)
 
     def timed(self, stamps: Sequence[int | None]) -> TrackSamples:
         """Sample times in 100 ns, modulo 2^32, or None."""
@@ -371,7 +365,8 @@ def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress:
         *od.RECORDING_SAMPLES, lambda part: progress(UPLOAD_PART + (1.0 - UPLOAD_PART) * part)
     )
     known_hz = float(node.integer_if_there(od.RECORDING_RATE, "I") or 0.0)
-    return TrackSamples.from_bytes(data, known_hz or rate_hz, f"recording 2050h of {node.name}")
+    tracks = recorded_tracks(data[: len(data) // 4 * 4])
+    return TrackSamples(*tracks, known_hz or rate_hz, f"recording 2050h of {node.name}")
 
 
 def _wait(node: NodeAccess, duration_s: float, progress: Progress) -> None:
