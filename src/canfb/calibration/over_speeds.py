@@ -273,7 +273,8 @@ LONGEST_STEP = 2.0  # intervals between two samples that show a speed
 def sampled_together(record: Recording, turned_rad: FloatArray) -> FloatArray:
     """The cosine track in counts; ``turned_rad`` is d at each sample. Both of the length of the record.
 
-    Samples at the ends of the converter stay as they are. CalibrationError if the samples are on no ellipse.
+    Samples at the ends of the converter stay as they are; NaN where there is none. CalibrationError if the
+    samples are on no ellipse.
     """
     sine, cosine, use = record.sine, record.cosine, record.valid
     ellipse = fit_ellipse(sine, cosine, use)
@@ -283,7 +284,7 @@ def sampled_together(record: Recording, turned_rad: FloatArray) -> FloatArray:
         found = _together(sine, cosine, turned_rad, used)
         used = fit_ellipse(sine, found, use)
     inside = np.clip(found, cosine.min(), cosine.max())  # the amplitude is the same
-    return np.where(record.clipped, cosine, inside)
+    return np.select([use, record.clipped], [inside, cosine], np.nan)
 
 
 def tracks_of_job(
@@ -305,7 +306,7 @@ def tracks_of_job(
         time_s = ticks[known] * TICK_S
     if turned is not None:
         record = recording(sine, cosine, time_s, None, adc_bits, may_be_offset=True)
-        cosine = np.where(np.isnan(cosine), np.nan, sampled_together(record, turned_rad))
+        cosine = sampled_together(record, turned_rad)
     return sine, cosine, time_s
 
 

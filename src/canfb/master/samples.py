@@ -91,7 +91,6 @@ class TrackSamples:
         record = recording(self.sine, self.cosine, self.time_s, None, None, may_be_offset=True)
         speed = speeds(record, cycles_per_s / self.rate_hz)
         cosine = sampled_together(record, 2.0 * np.pi * self.rate_hz * cosine_delay_s * speed)
-        cosine[np.isnan(self.cosine)] = np.nan
         return replace(self, cosine=cosine, origin=f"{self.origin}, cosine at the instant of the sine")
 
     def between(self, first: int, stop: int) -> TrackSamples:

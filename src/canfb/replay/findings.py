@@ -308,7 +308,7 @@ class DriftTracks:
         try:
             if delay_s:  # the cosine at the instant of the sine
                 record = recording(sine, cosine, None, None, adc_bits, may_be_offset=True)
-                cosine = _where(came, sampled_together(record, 2.0 * np.pi * delay_s * hertz))
+                cosine = sampled_together(record, 2.0 * np.pi * delay_s * hertz)
             fresh = calibrate_from_motion(sine, cosine, active.conditioning, adc_bits=adc_bits)
             found = drift(fresh, active.table, active.conditioning)
         except CalibrationError as error:
