@@ -270,8 +270,6 @@ class BusLogFile:
         """What readers raise has no common root: a damaged log is a finding, not the end."""
         try:
             yield from self._candump() if self.suffix == ".log" else self._by_python_can()
-        except CanfbError:
-            raise
         except (NotImplementedError, ImportError) as error:
             raise LogError(f"{self.path}: {NEEDS_PACKAGE}") from error
         except Exception as error:
@@ -359,7 +357,7 @@ class BusLog:
         self._clock, self._sleep = clock, sleep
         self._stopped = False
         suffix = check_suffix(path, WRITABLE)
-        if max_bytes and "".join(path.suffixes[-1:]).lower() not in ROTATED:
+        if max_bytes and path.suffix.lower() not in ROTATED:
             raise ConfigError(f"--max-size: python-can divides {', '.join(sorted(ROTATED))}, not {suffix}")
         check_writable(path)
         if path.exists() and (not overwrite or not path.is_file()):

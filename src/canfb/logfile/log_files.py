@@ -42,10 +42,9 @@ NEEDS_PACKAGE = "this format needs another package: pip install 'canfb[mf4]'"
 
 def log_suffix(path: Path) -> tuple[str, bool]:
     """The suffix that says what format it is, in small letters, and whether it is compressed."""
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    zipped = bool(suffixes) and suffixes[-1] == GZIP
-    rest = suffixes[:-1] if zipped else suffixes
-    return rest[-1] if rest else "", zipped
+    zipped = path.suffix.lower() == GZIP
+    unzipped = path.with_suffix("") if zipped else path
+    return unzipped.suffix.lower(), zipped
 
 
 READABLE = sorted(MESSAGE_READERS)

@@ -17,7 +17,7 @@ from canfb import objects as od
 from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.over_speeds import sampled_together
 from canfb.calibration.recording import recording
-from canfb.calibration.result import drift
+from canfb.calibration.result import BoolArray, drift
 from canfb.errors import CalibrationError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.objects import StatusBit
@@ -184,7 +184,6 @@ class FaultList:
                     self._open[kind] = fault
 
 
-BoolArray = npt.NDArray[np.bool_]
 NAN = float("nan")
 BEGIN_SAMPLES = 64
 
@@ -214,8 +213,17 @@ class Margins:
     """
 
     def __init__(self, max_speed_rad_s: Callable[[], float]) -> None:
-        names = ("residual", "amplitude_low", "amplitude_high", "acceleration_cycles")
-        self.nearest = dict.fromkeys((*names, "machine_acceleration_cycles", "speed_rad_s"), Extreme())
+        self.nearest = dict.fromkeys(
+            (
+                "residual",
+                "amplitude_low",
+                "amplitude_high",
+                "acceleration_cycles",
+                "machine_acceleration_cycles",
+                "speed_rad_s",
+            ),
+            Extreme(),
+        )
         self.acceleration_rad_s2 = 0.0  # The largest.
         self.begin_cycles = NAN  # Distance of the first samples, without whole cycles between two of them.
         self._max_speed_rad_s = max_speed_rad_s  # what the jitter allows, as the module knows it
@@ -234,8 +242,7 @@ class Margins:
         amplitude = _where(came, block["amplitude_counts"])
         self._look("amplitude_low", block, amplitude, block["amplitude_low_counts"])
         self._look("amplitude_high", block, amplitude, block["amplitude_high_counts"])
-        followed = came & (status & (StatusBit.COASTING | StatusBit.LOST) == 0)
-        self._take_motion(block, followed & (status & StatusBit.VALID != 0))
+        self._take_motion(block, status & StatusBit.VALID != 0)
 
     def _take_motion(self, block: Block, valid: BoolArray) -> None:
         acceleration = _where(valid, np.abs(block["acceleration_cycles"]))

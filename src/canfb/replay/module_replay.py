@@ -224,7 +224,6 @@ class ModuleReplay:
             [self.margins.take],
         )
         self.module.on_feedback = self.samples.take
-        self._left = self.module.sent
         self._own_frames: dict[int, OwnFrames] = {}
         self._head: list[Frame] | None = []
         self._on = False
@@ -394,7 +393,7 @@ class ModuleReplay:
     def _give_out(self, frames: list[Frame], now: float, pair: bool = True) -> None:
         self.sent += len(frames)
         for can_id, data, rtr, _ in frames:
-            self._left(can_id, now)
+            self.module.sent(can_id, now)
             if pair:
                 (self._own_frames.get(can_id) or self._pairs(can_id)).replayed(data, now)
             if can_id == self._emergency.value & cob.CAN_ID:
