@@ -186,26 +186,6 @@ ATTEMPTS = 2
 EITHER = "either what was saved before or the new values, whole"
 
 
-@contextlib.contextmanager
-def all_or_nothing(module: NodeAccess, guard: Guard, undo: Callable[[], str]) -> Iterator[None]:
-    """A failure, an interruption or a restart of the module in here ends with ``undo``, uninterrupted.
-
-    The error goes on with the words of ``undo``, or its CanfbError.
-    """
-    try:
-        with without_restart(module):
-            yield
-    except BaseException as error:
-        with guard.held():
-            try:
-                said, undone = undo(), True
-            except CanfbError as failure:
-                said, undone = str(failure), False
-        if isinstance(error, CanfbError) or not undone:
-            raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
-        raise
-
-
 def change(
     module: NodeAccess,
     guard: Guard,
@@ -220,8 +200,8 @@ def change(
 ) -> str | None:
     """``act``, then save if ``keep``: the object that saved it, or None.
 
-    A failure or interruption writes ``what`` was ``back``, and saves it again where saving had begun; the
-    CommissioningError says so (``undone``).
+    A failure, an interruption or a restart of the module writes ``what`` was ``back``, uninterrupted, and
+    saves it again where saving had begun; the CommissioningError says so (``undone``), or that it failed.
     """
     saving = False
 
@@ -234,13 +214,23 @@ def change(
             return f"{undone()}, and what is saved is {EITHER}: save it when that works again"
         return undone()
 
-    with all_or_nothing(module, guard, undo):
-        act()
-        if not keep:
-            return None
-        step("saving")
-        saving = True
-        return save(module, stores)
+    try:
+        with without_restart(module):
+            act()
+            if not keep:
+                return None
+            step("saving")
+            saving = True
+            return save(module, stores)
+    except BaseException as error:
+        with guard.held():
+            try:
+                said, is_back = undo(), True
+            except CanfbError as failure:
+                said, is_back = str(failure), False
+        if isinstance(error, CanfbError) or not is_back:
+            raise CommissioningError(f"{str(error) or 'interrupted'}; {said}") from error
+        raise
 
 
 def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: bool = False) -> None:

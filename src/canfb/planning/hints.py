@@ -20,7 +20,6 @@ MOST_FASTER = 40  # steps of FASTER: 7 times the rate
 KNOWN_ENOUGH = 1.1  # what the module knows over what is given
 NOISE_MARGIN = 6  # docs/supervision.md
 NARROWED = 0.95  # of the residual limit: a gain
-DETECTION = "detection"
 NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}
 Ways = Iterator[tuple[str, Plan]]  # What to do in one line, and the plan then.
 
@@ -49,7 +48,7 @@ def changes_of(plan: Plan) -> list[PlanChange]:
         if asked_acceleration(plan) and not (ways is _sharper and is_sharp(plan)):
             good = (step for step in ways(plan) if step[1].holds and gains(step[1]))
             for text, after in list(good)[:1]:
-                steps.append(PlanChange(DETECTION, text, after))
+                steps.append(PlanChange("detection", text, after))
                 plan = after
     return steps
 

@@ -336,7 +336,11 @@ def shown(changes: dict[Place, tuple[Any, Any]]) -> str:
 
 
 def backup_result(backup: Backup, path: Path) -> Result:
-    table = f"table {_crc32(backup):08X}h, {len(backup.table) // 4} entries" if backup.table else "no table"
+    table = (
+        f"table {zlib.crc32(backup.table):08X}h, {len(backup.table) // 4} entries"
+        if backup.table
+        else "no table"
+    )
     node, serial = backup.node_id, backup.identity.serial_number
     what = f"module {node} ({node:02X}h), serial number {serial}"
     noted = ", ".join(od.place_text(place) for place, value in backup.not_restored.items() if value)
@@ -351,7 +355,7 @@ def backup_result(backup: Backup, path: Path) -> Result:
         "node_id": backup.node_id,
         "identity": backup.identity._asdict(),
         "parameters": len(backup.values),
-        "table_crc32": f"{_crc32(backup):08X}",
+        "table_crc32": f"{zlib.crc32(backup.table):08X}",
         "table_entries": len(backup.table) // 4,
     }
     return Result(figures, lines)
@@ -415,7 +419,3 @@ def _change(place: Place, pair: tuple[Any, Any], described: ObjectDescriptions) 
     before, after = (f"{short_real(value):g}" if real else str(value) for value in pair)
     unit = f" {entry.unit}" if entry.unit else ""
     return f"  {entry.number} {entry.title}: {before} -> {after}{unit}"
-
-
-def _crc32(backup: Backup) -> int:
-    return zlib.crc32(backup.table) if backup.table else 0
