@@ -119,7 +119,7 @@ def report_html(
         beside(tables, _lissajous(measured.samples, measured.found, limits))
         + _over_speed(measured, where)
         + gallery("Pictures", _pictures(measured, done))
-        + _origins(where),
+        + table("Origin", origins(where), style="origin"),
     )
 
 
@@ -128,8 +128,8 @@ def refusal_html(
 ) -> str:
     said = [f"Refused: {refused}.", "Nothing was written to the module."]
     rows = [Row("samples", f"{len(samples)}; {samples.origin}"), Row("missed", str(samples.missed))]
-    body = beside(table("Measurement", rows), _lissajous(samples, NO_CORRECTION, limits)) + _origins(where)
-    return _page(where, said, body, good=False)
+    found = beside(table("Measurement", rows), _lissajous(samples, NO_CORRECTION, limits))
+    return _page(where, said, found + table("Origin", origins(where), style="origin"), good=False)
 
 
 def _page(where: Provenance, said: list[str], body: str, good: bool = True) -> str:
@@ -147,10 +147,6 @@ def place_line(where: Provenance) -> str:
     if where.cycles_per_revolution is not None:
         words.append(f"{where.cycles_per_revolution} cycles per revolution")
     return " · ".join(words)
-
-
-def _origins(where: Provenance) -> str:
-    return table("Origin", origins(where), style="origin") if origins(where) else ""
 
 
 def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | None) -> str:

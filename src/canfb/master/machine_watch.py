@@ -292,13 +292,12 @@ class Provenance:
 
 def origins(where: Provenance) -> list[Row]:
     module, interface = where.module, where.encoder_interface
-    rows = [
+    return [
         Row("module", None if module is None else _node(module, where.identity)),
         Row("encoder interface", None if interface is None else _node(interface, where.interface_identity)),
         Row("program", f"canfb {where.version}" if where.version else None),
         Row("command", where.command or None),
     ]
-    return [row for row in rows if row.words]
 
 
 def _node(node_id: int, identity: tuple[int, ...] | None) -> str:

@@ -52,12 +52,16 @@ class ReplayResult:
         return as_figures([self._verdict()], self.facts())
 
     def lines(self) -> list[str]:
-        faults = self.faults()
-        rows = [self._verdict(), *self.facts(), *(Row("fault", text) for text in faults[:SHOWN_FAULTS])]
-        if len(faults) > SHOWN_FAULTS:
-            rows.append(Row("", f"... and {sum(self.replay.faults.times.values()) - SHOWN_FAULTS} more"))
-        notes = [Row("note", text) for text in self.notes()]
-        return [self.head(), *as_lines([*notes, *rows, *self.comparison()])]
+        more = sum(self.replay.faults.times.values()) - SHOWN_FAULTS
+        rows = [
+            *(Row("note", text) for text in self.notes()),
+            self._verdict(),
+            *self.facts(),
+            *(Row("fault", text) for text in self.faults()[:SHOWN_FAULTS]),
+            Row("", f"... and {more} more" if more > 0 else None),
+            *self.comparison(),
+        ]
+        return [self.head(), *as_lines(rows)]
 
     def notes(self) -> list[str]:
         """Why the replay may be another one than the recorded module, not for a fault of either."""
