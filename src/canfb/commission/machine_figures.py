@@ -81,7 +81,9 @@ class MotionFigures:
 
 
 def motion_figures(samples: SupervisedSamples) -> MotionFigures:
-    """The motion of these samples; at least one step between two valid ones."""
+    """The motion of these samples: more than the longest window, and at least one step between two valid
+    ones.
+    """
     speed, elapsed = samples.speed, samples.elapsed
     acceleration = np.diff(speed) / ((elapsed[2:] + elapsed[1:-1]) / 2.0)
     position = samples.position[samples.valid]
@@ -164,8 +166,6 @@ def _known(values: FloatArray) -> FloatArray:
 
 
 def _averaged(values: FloatArray, bell: FloatArray) -> FloatArray:
-    if len(values) < len(bell):
-        return np.zeros(0)
     return np.asarray(np.convolve(values, bell, "valid"), np.float64)
 
 

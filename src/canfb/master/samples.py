@@ -191,8 +191,7 @@ class PdoRecorder:
     """
 
     def __init__(self, layout: PdoLayout) -> None:
-        self._per_sync, self._has_coarse = 1 + len(layout.earlier), layout.coarse is not None
-        self._sync_id = layout.sync_id
+        self.layout = layout
         self._times_s: list[float] = []  # of the SYNCs
         self._intervals: list[dict[int, Any]] = []  # the parts that came, from one SYNC to the next
         self._parts: defaultdict[int, list[tuple[int, Callable[[bytes], Any]]]] = defaultdict(list)
@@ -209,7 +208,7 @@ class PdoRecorder:
 
     def callbacks(self) -> list[tuple[int, OnFrame]]:
         """For each CAN-ID; the SYNC is the last."""
-        return [*((can_id, self.on_pdo) for can_id in self._parts), (self._sync_id, self.on_sync)]
+        return [*((can_id, self.on_pdo) for can_id in self._parts), (self.layout.sync_id, self.on_sync)]
 
     def on_sync(self, can_id: int, data: bytes, time_s: float) -> None:
         self._times_s.append(time_s)
@@ -225,7 +224,7 @@ class PdoRecorder:
 
     def result(self, origin: str) -> TrackSamples:
         """What came, in order, without the open interval."""
-        intervals, per_sync = self._intervals[:-1], self._per_sync
+        intervals, per_sync = self._intervals[:-1], 1 + len(self.layout.earlier)
         rate_hz = self._rate_hz()
         in_order = [one.get(part) or MISSED for one in intervals for part in reversed(range(per_sync))]
         pairs = np.array(in_order, np.float64).reshape(-1, 2)
@@ -234,7 +233,7 @@ class PdoRecorder:
             before_s = np.arange(per_sync - 1, -1, -1) / per_sync / (rate_hz or 1.0)
             at_s = np.array(self._times_s[:-1])
             samples = replace(samples, received_s=(at_s[:, None] - before_s).reshape(-1))
-        if self._has_coarse:
+        if self.layout.coarse is not None:
             tracks = np.full((len(pairs), 2), np.nan)
             tracks[per_sync - 1 :: per_sync] = [one.get(COARSE) or (np.nan, np.nan) for one in intervals]
             samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
@@ -256,7 +255,6 @@ class Listener:
 
     def __init__(self, master: Master, layout: PdoLayout) -> None:
         self._master = master
-        self._layout = layout
         self.recorder = PdoRecorder(layout)
         self._syncs = self._samples = 0
         self._began_s: float | None = None
@@ -272,7 +270,7 @@ class Listener:
         return 0.0 if self._began_s is None else self._master.now() - self._began_s
 
     def look(self) -> None:
-        now, recorder, layout = self._master.now(), self.recorder, self._layout
+        now, recorder, sync_id = self._master.now(), self.recorder, self.recorder.layout.sync_id
         if recorder.syncs > self._syncs:
             self._syncs, self._last_sync_s = recorder.syncs, now
             if self._began_s is None:
@@ -281,14 +279,14 @@ class Listener:
             self._samples, self._last_sample_s = recorder.samples, now
         if now - self._last_sync_s > PATIENCE_S:
             raise CommissioningError(
-                f"no SYNC ({layout.sync_id:03X}h) for {PATIENCE_S:g} s: start the node that produces it, the "
+                f"no SYNC ({sync_id:03X}h) for {PATIENCE_S:g} s: start the node that produces it, the "
                 "drive or the controller, or let canfb produce it (--rate HZ)"
             )
         if self._began_s is not None and now - self._last_sample_s > PATIENCE_S:
             raise self._no_samples()
 
     def result(self) -> TrackSamples:
-        can_id = self._layout.can_id
+        can_id = self.recorder.layout.can_id
         if not self.recorder.samples:
             raise self._no_samples()
         samples = self.recorder.result(f"PDO {can_id:03X}h at each SYNC")
@@ -301,8 +299,8 @@ class Listener:
 
     def _no_samples(self) -> CommissioningError:
         return CommissioningError(
-            f"SYNC is received, but not PDO {self._layout.can_id:03X}h with the samples: is the encoder "
-            "interface OPERATIONAL (NMT start), and is its node-ID right?"
+            f"SYNC is received, but not PDO {self.recorder.layout.can_id:03X}h with the samples: is the "
+            "encoder interface OPERATIONAL (NMT start), and is its node-ID right?"
         )
 
 

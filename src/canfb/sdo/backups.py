@@ -147,8 +147,9 @@ class _BackupReader:
                 raise wrong(
                     self._marked, "this version has no such parameter; --force leaves it out", section, key
                 )
-            limits = entry.least, entry.most
-            values[place] = self._value(value, entry.data_type, *limits, f"{entry.title} ", section, key)
+            values[place] = self._value(
+                value, entry.data_type, entry.least, entry.most, f"{entry.title} ", section, key
+            )
         return values
 
     def _place(self, key: Any, section: str) -> Place:
@@ -177,9 +178,7 @@ class _BackupReader:
 def _block(values: Mapping[Place, Any], described: ObjectDescriptions) -> list[str]:
     lines, above = list[str](), ""
     for place in sorted(values):
-        entry = described.find(*place)
-        if entry is None:
-            raise KeyError(f"{od.place_text(place)} is not in {described.path.name}")
+        entry = described.entry(*place)
         if entry.parent != above and not entry.name.startswith(entry.parent):
             lines.append(f"  # {entry.parent}")
         above = entry.parent
@@ -412,9 +411,7 @@ def _change(place: Place, pair: tuple[Any, Any], described: ObjectDescriptions) 
     if place == od.TABLE_ACTIVATE:
         before, after = (f"{value:08X}h" if value else "none" for value in pair)
         return f"  correction table: {before} -> {after}"
-    entry = described.find(*place)
-    if entry is None:
-        return f"  {od.place_text(place)}: {pair[0]!r} -> {pair[1]!r}"
+    entry = described.entry(*place)
     real = entry.data_type in datatypes.FLOATS
     before, after = (f"{short_real(value):g}" if real else str(value) for value in pair)
     unit = f" {entry.unit}" if entry.unit else ""

@@ -91,6 +91,10 @@ class ObjectDescriptions:
     def find(self, index: int, subindex: int) -> ObjectDescription | None:
         return self._entries.get((index, subindex))
 
+    def entry(self, index: int, subindex: int) -> ObjectDescription:
+        """KeyError if there is none."""
+        return self._entries[index, subindex]
+
     def of_object(self, index: int) -> list[ObjectDescription]:
         return [self._entries[place] for place in sorted(self._entries) if place[0] == index]
 
