@@ -1,14 +1,10 @@
-"""What ``canfb calibrate`` is asked to do: its options, checked, and what follows from them.
-
-Options that do nothing beside others are refused, not ignored. Times are not: a script may give the same ones
-to a dry run and to the measurement after it.
-"""
+"""What ``canfb calibrate`` is asked to do: its options, checked, and what follows from them."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,26 +15,49 @@ from canfb.signal.conditioning import LONGEST_DELAY_S
 from canfb.signal.supervision import SampleLimits
 from canfb.sources.recording_source import RecordingLayout, chosen_layout, open_recording
 
-PDO, RECORDING, MODULE = "pdo", "recording", "module"
+PDO, RECORDING, MODULE, INTERFACE = "pdo", "recording", "module", "interface"
 DEFAULT_MODULE = 0x20
 MOST_RPM = 1e6
 RECORDED = "recorded"  # speeds: those that the files of samples have
 LEAST_SAMPLES, LEAST_FRESH = 8000, 1500
 SECONDS_AT_SPEED = 10.0
 NEAREST = 1.05  # times: between speeds, so that the machine turns at one of them
-RANGES = (
-    ("seconds", 0.1, 3600.0),
-    ("verify", 0.1, 600.0),
-    ("least_samples", 0, 10_000_000),
-    ("sample_rate", 0.1, 1e7),
-    ("rate", 0.1, 1e5),
-    ("timeout", 0.01, 60.0),
-    ("wait", 1.0, 86400.0),
-    ("entries", 16, 4096),
-    ("adc_bits", 4, 16),
-    ("module", 1, 127),
-    ("encoder_interface", 1, 127),
-    ("cycles_per_revolution", 1, 1 << 20),
+OF_CSV = ("columns", "mid_scale", "scale", "time_column")
+WITHOUT_BUS = "not with --samples, which needs no bus and writes to no module"
+# Options that do nothing beside another one (False), or without it (True), are refused, not ignored. Times
+# are not: a script may give the same ones to a dry run and to the measurement after it.
+IDLE = (
+    (
+        (
+            "config",
+            "nodes",
+            "encoder_interface",
+            "source",
+            "recorder",
+            "seconds",
+            "least_samples",
+            "verify",
+            "rate",
+            "timeout",
+            "dry_run",
+            "save",
+            "wait",
+        ),
+        "samples",
+        False,
+        WITHOUT_BUS,
+    ),
+    (("table",), "samples", True, "only with --samples; over the bus the table is read from the module"),
+    ((*OF_CSV, "cycles_per_revolution"), "samples", True, "only with --samples, which it describes"),
+    (("dry_run", "save"), "check", False, "not with --check, which writes nothing"),
+    (("save",), "dry_run", False, "not with --dry-run, which writes nothing"),
+    (("delay", "wait"), "speeds", True, "only with --speeds"),
+    (
+        ("check", "method", "source", "conditioning"),
+        "speeds",
+        False,
+        "not with --speeds, which measures by motion",
+    ),
 )
 
 
@@ -54,7 +73,7 @@ class CalibrateOptions:
     save: bool = False
     method: str = MOTION
     source: str | None = None
-    recorder: str = "interface"
+    recorder: str = INTERFACE
     seconds: float | None = None
     least_samples: int = LEAST_SAMPLES
     verify: float | None = None
@@ -62,9 +81,7 @@ class CalibrateOptions:
     entries: int = 1024
     adc_bits: int | None = None
     sample_rate: float | None = None
-    rate: float | None = None
     encoder: str = ""
-    timeout: float = 1.0
     samples: Path | None = None
     columns: str = "sine,cosine"
     mid_scale: float = 0.0
@@ -133,15 +150,16 @@ class CalibrateOptions:
 
     @property
     def _is_fast(self) -> bool:
-        return self.samples_from == RECORDING and self.recorder == "interface"
+        return self.samples_from == RECORDING and self.recorder == INTERFACE
 
     @property
     def _layout(self) -> RecordingLayout:
         return chosen_layout(self.columns, self.mid_scale, self.scale, self.time_column)
 
     def refuse_impossible(self) -> None:
-        refuse_beyond(self, RANGES)
         _ = self._layout, self.speeds_rpm, self.delay_to_set
+        if self.recorder != INTERFACE and self.samples_from != RECORDING:
+            raise ConfigError("--recorder: only with --source recording")
         if self.samples_from == MODULE and self.method != MOTION:
             raise ConfigError("--source module: the module supports --method motion only")
 
@@ -199,53 +217,3 @@ class CalibrateOptions:
                 raise ConfigError(f"{path}: no speed is recorded (cycles_per_s): --speeds RPM,RPM,...")
             found.append(SpeedSamples(self.samples_of_file(path), hertz))
         return found
-
-
-def refuse_beyond(options: object, ranges: Sequence[tuple[str, float, float]]) -> None:
-    """ConfigError for an option beyond its range: name, smallest and largest."""
-    for name, low, high in ranges:
-        value = getattr(options, name)
-        if value is not None and not low <= value <= high:
-            option = name.removesuffix("_s").replace("_", "-")
-            raise ConfigError(f"--{option} {value:g}: must be {low:g} to {high:g}")
-
-
-# Raises ConfigError if one of these options is given: names, and why it would do nothing.
-Refuse = Callable[[Iterable[str], str], None]
-
-_OF_THE_BUS = (
-    "config",
-    "nodes",
-    "encoder_interface",
-    "source",
-    "recorder",
-    "seconds",
-    "least_samples",
-    "verify",
-    "rate",
-    "timeout",
-    "dry_run",
-    "save",
-    "wait",
-)
-_OF_CSV = ("columns", "mid_scale", "scale", "time_column")
-_OF_THE_FILE = (*_OF_CSV, "table", "cycles_per_revolution")
-_NOT_AT_SPEEDS = ("check", "method", "source", "conditioning")
-
-
-def refuse_combinations(choices: CalibrateOptions, refuse: Refuse, bus_words: Sequence[str]) -> None:
-    """ConfigError for an option that would do nothing; ``bus_words`` are the options of the bus itself."""
-    file, at_speeds = choices.samples, choices.speeds is not None
-    for applies, words, why in (
-        (file, (*_OF_THE_BUS, *bus_words), "not with --samples, which needs no bus and writes to no module"),
-        (file and file.suffix.lower() == ".npz", _OF_CSV, f"only for CSV, not for {file and file.name}"),
-        (not file, ["table"], "only with --samples; over the bus the table is read from the module"),
-        (not file, _OF_THE_FILE, "only with --samples, which it describes"),
-        (choices.check, ("dry_run", "save"), "not with --check, which writes nothing"),
-        (choices.dry_run, ["save"], "not with --dry-run, which writes nothing"),
-        (choices.samples_from != RECORDING, ["recorder"], "only with --source recording"),
-        (not at_speeds, ("delay", "wait"), "only with --speeds"),
-        (at_speeds, _NOT_AT_SPEEDS, "not with --speeds, which measures by motion"),
-    ):
-        if applies:
-            refuse(words, why)

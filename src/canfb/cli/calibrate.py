@@ -12,12 +12,14 @@ from pathlib import Path
 from canfb.bus.clocks import date_and_time
 from canfb.calibrate.calibration_run import CalibrationRun
 from canfb.calibrate.choices import (
+    IDLE,
     LEAST_SAMPLES,
     MODULE,
+    OF_CSV,
     PDO,
     RECORDING,
+    WITHOUT_BUS,
     CalibrateOptions,
-    refuse_combinations,
 )
 from canfb.calibrate.measurement import MOTION, ZERO_CROSSINGS
 from canfb.cli.node_options import nodes_of, say_result, sync_master
@@ -26,6 +28,7 @@ from canfb.cli.options import (
     COLUMNS,
     JSON,
     MEASURED_NODES,
+    RATE,
     TIMEOUT,
     Commands,
     add_bus_options,
@@ -80,12 +83,14 @@ def register(commands: Commands) -> None:
             option(
                 "--seconds",
                 type=float,
+                within=(0.1, 3600.0, "0.1 to 3600"),
                 metavar="S",
                 help="duration of the measurement (20; 4 for a recording, 10 for a speed)",
             ),
             option(
                 "--least-samples",
                 type=int,
+                within=(0, 10_000_000, "0 to 10000000"),
                 default=LEAST_SAMPLES,
                 metavar="N",
                 help=f"minimum number of samples; measure up to six times longer for it ({LEAST_SAMPLES})",
@@ -93,6 +98,7 @@ def register(commands: Commands) -> None:
             option(
                 "--verify",
                 type=float,
+                within=(0.1, 600.0, "0.1 to 600"),
                 metavar="S",
                 help="duration of the verification (4; 1 for a recording)",
             ),
@@ -102,12 +108,29 @@ def register(commands: Commands) -> None:
                 default="fit",
                 help="fit offset, gain and phase error first (default), or correct all by the table",
             ),
-            option("--entries", type=int, default=1024, metavar="N", help="length of the table (1024)"),
-            option("--adc-bits", type=int, metavar="N", help="bits of the converter (from 2001:02)"),
             option(
-                "--sample-rate", type=float, metavar="HZ", help="samples per second, if not known otherwise"
+                "--entries",
+                type=int,
+                within=(16, 4096, "16 to 4096"),
+                default=1024,
+                metavar="N",
+                help="length of the table (1024)",
             ),
-            option("--rate", type=float, metavar="HZ", help="produce the SYNC, on a bus without one"),
+            option(
+                "--adc-bits",
+                type=int,
+                within=(4, 16, "4 to 16"),
+                metavar="N",
+                help="bits of the converter (from 2001:02)",
+            ),
+            option(
+                "--sample-rate",
+                type=float,
+                within=(0.1, 1e7, "0.1 to 10000000"),
+                metavar="HZ",
+                help="samples per second, if not known otherwise",
+            ),
+            RATE,
             option("--encoder", default="", metavar="NAME", help="name or serial number of the encoder"),
             TIMEOUT,
         ),
@@ -127,6 +150,7 @@ def register(commands: Commands) -> None:
             option(
                 "--wait",
                 type=float,
+                within=(1.0, 86400.0, "1 to 86400"),
                 default=120.0,
                 metavar="S",
                 help="how long to wait for the machine to turn at the next speed (120)",
@@ -145,11 +169,13 @@ def register(commands: Commands) -> None:
             option(
                 "--cycles-per-revolution",
                 type=int,
+                within=(1, 1 << 20, "1 to 1048576"),
                 metavar="N",
                 help="also give errors as angles of the shaft",
             ),
         ),
         add_bus_options,
+        idle=[*IDLE, ((*BUS_WORDS, "bus_kwargs"), "samples", False, WITHOUT_BUS)],
     )
 
 
@@ -192,6 +218,7 @@ def _said(
 def choices_of(options: argparse.Namespace) -> CalibrateOptions:
     names = [field.name for field in fields(CalibrateOptions) if hasattr(options, field.name)]
     choices = CalibrateOptions(**{name: getattr(options, name) for name in names})
-    refuse_combinations(choices, partial(refuse_idle, options), (*BUS_WORDS, "bus_kwargs"))
+    if choices.samples is not None and choices.samples.suffix.lower() == ".npz":
+        refuse_idle(options, OF_CSV, f"only for CSV, not for {choices.samples.name}")
     choices.refuse_impossible()
     return choices

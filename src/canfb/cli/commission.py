@@ -11,6 +11,7 @@ from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
     JSON,
     MEASURED_NODES,
+    RATE,
     TIMEOUT,
     Commands,
     add_bus_options,
@@ -38,12 +39,25 @@ def register(commands: Commands) -> None:
         ),
         option("--save", action="store_true", help="with --write: save them (1010h)"),
         option(
-            "--seconds", type=float, default=60.0, metavar="S", help="how long to listen to the machine (60)"
+            "--seconds",
+            type=float,
+            within=(0.1, 3600.0, "0.1 to 3600"),
+            default=60.0,
+            metavar="S",
+            help="how long to listen to the machine (60)",
         ),
-        option("--margin", type=float, default=2.0, metavar="X", help="safety factor (2)"),
+        option(
+            "--margin",
+            type=float,
+            within=(1.2, 10.0, "1.2 to 10"),
+            default=2.0,
+            metavar="X",
+            help="safety factor (2)",
+        ),
         option(
             "--acceleration",
             type=float,
+            within=(0.0, 1e9, "0 to 1e+09"),
             default=0.0,
             metavar="RAD_S2",
             help="an acceleration that the machine can do and may not show now, as an emergency stop",
@@ -51,6 +65,7 @@ def register(commands: Commands) -> None:
         option(
             "--watch",
             type=float,
+            within=(0.1, 3600.0, "0.1 to 3600"),
             default=10.0,
             dest="watch_s",
             metavar="S",
@@ -64,7 +79,7 @@ def register(commands: Commands) -> None:
         ),
         option("--out", type=Path, metavar="DIR", help="folder for report and samples"),
         JSON,
-        option("--rate", type=float, metavar="HZ", help="produce the SYNC, on a bus without one"),
+        RATE,
         TIMEOUT,
         add_bus_options,
         idle=[(["save"], "write", True, "only with --write, without which nothing is written")],
@@ -92,20 +107,14 @@ def over_bus(
 
 
 def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
-    choices = CalibrateOptions(
-        module=options.module,
-        encoder_interface=options.encoder_interface,
-        rate=options.rate,
-        timeout=options.timeout,
-    )
-    choices.refuse_impossible()
+    choices = CalibrateOptions(module=options.module, encoder_interface=options.encoder_interface)
     return choices.nodes(nodes_of(config))
 
 
 def wishes_of(options: argparse.Namespace) -> CommissionOptions:
     if options.source == "recording" and options.encoder_interface is not None:
         raise ConfigError("--encoder-interface: not with --source recording, which is that of the module")
-    wishes = CommissionOptions(
+    return CommissionOptions(
         seconds=options.seconds,
         margin=options.margin,
         acceleration=options.acceleration,
@@ -116,5 +125,3 @@ def wishes_of(options: argparse.Namespace) -> CommissionOptions:
         out=options.out,
         line=getattr(options, "line", ""),
     )
-    wishes.refuse_impossible()
-    return wishes

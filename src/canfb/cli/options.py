@@ -307,9 +307,17 @@ MEASURED_NODES = (
     option(
         "--encoder-interface",
         type=whole_number,
+        within=(1, 127, "1 to 127"),
         metavar="ID",
         help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
     ),
+)
+RATE = option(
+    "--rate",
+    type=float,
+    within=(0.1, 1e5, "0.1 to 100000"),
+    metavar="HZ",
+    help="produce the SYNC, on a bus without one",
 )
 
 # Of a CSV file of samples; :func:`canfb.sources.recording_source.chosen_layout` checks them.

@@ -13,7 +13,6 @@ from canfb import objects as od
 from canfb.calibrate.artefacts import REPORT, keep_samples, place_line
 from canfb.calibrate.calibration_run import Steps
 from canfb.calibrate.calibration_summary import delay_words
-from canfb.calibrate.choices import refuse_beyond
 from canfb.calibrate.measurement import supervise
 from canfb.commission.limit_choice import LEAST_SAMPLES, Choice, choose, observe, value_words
 from canfb.commission.machine_figures import Observation, smooth_acceleration
@@ -41,13 +40,6 @@ from canfb.rows import Findings, Result, Row, Section, those
 from canfb.signal.limits import RPM, samples_without_harm
 from canfb.view.module_view import coarse_layout
 
-RANGES = (
-    ("seconds", 0.1, 3600.0),
-    ("margin", 1.2, 10.0),
-    ("acceleration", 0.0, 1e9),
-    ("watch_s", 0.1, 3600.0),
-)
-
 
 @dataclass(frozen=True, kw_only=True)
 class CommissionOptions:
@@ -62,9 +54,6 @@ class CommissionOptions:
     watch_s: float = 10.0
     out: Path | None = None
     line: str = ""
-
-    def refuse_impossible(self) -> None:
-        refuse_beyond(self, RANGES)
 
 
 @dataclass(frozen=True, eq=False)
