@@ -11,14 +11,13 @@ from canfb.calibrate.measurement import Measurement, OverSpeeds, conditioning_ch
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.result import Calibration, drift
-from canfb.master.machine_watch import PERCENT, Provenance, percent, where_words
+from canfb.master.machine_watch import LOST, PERCENT, Provenance, percent, where_words
 from canfb.master.samples import TrackSamples
 from canfb.rows import Findings, Result, Row, Section, as_figures, as_lines
 from canfb.sdo.tables import conditioning_in_words, conditioning_words, table_words
 from canfb.signal.correction import Correction
 
 SAME_DELAY = 1e-3  # relative: REAL32
-LOST = "position lost"
 
 
 def speed_words(hertz: float, where: Provenance) -> str:

@@ -20,7 +20,7 @@ from canfb import objects as od
 from canfb.planning.plan import ResidualBudget
 from canfb.signal.bounded_motion import ORDER
 from canfb.simulation import faults
-from canfb.simulation.faults import Fault, Samples, Signal
+from canfb.simulation.faults import Fault, Rng, Samples, Signal
 from canfb.view.module_view import mapped_objects
 
 CASES = 400  # of each fault
@@ -32,9 +32,7 @@ USUAL_TOLERANCE = 0.01  # revolutions, as in docs/homing.md
 LEAST_MOTION_CYCLES = 0.01  # where no motion is given
 SECOND = od.SAMPLE_SECOND_POSITION.mapped(32)
 
-Rng = np.random.Generator
 Floats = npt.NDArray[np.float64]
-Bits = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +181,7 @@ def _judged(window: SampleWindow, name: str, truth: Floats, sine: Floats, cosine
     return FaultCoverage(name, int(harmful.sum()), shares, _within(by_residual[harmful]))
 
 
-def _within(detected: Bits) -> int | None:
+def _within(detected: npt.NDArray[np.bool_]) -> int | None:
     first = [int(np.argmax(one)) + 1 for one in detected if one.any()]
     return int(np.quantile(first, 0.99, method="higher")) if first else None
 
