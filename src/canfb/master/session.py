@@ -125,21 +125,28 @@ class SupervisionLimits:
         )
 
 
+# Those that let more samples pass the larger (1), or the smaller (-1) they are.
+WIDENING = {
+    od.ENCODER_LOWEST_AMPLITUDE: -1,
+    od.ENCODER_HIGHEST_AMPLITUDE: 1,
+    od.SUPERVISION_PHASE_ERROR: 1,  # it widens what the others narrow
+}
+
+
 def write_limits(module: NodeAccess, limits: Mapping[Multiplexer, float]) -> None:
     """Write and read back; CommissioningError for a difference.
 
-    The lower amplitude limit stays below the upper one at all times.
+    First what lets more samples pass than before, then the corner, which changes the amplitude, then the
+    rest: so the limits fit the amplitude at all times, and the lower one of it is below the upper one.
     """
-    places = [place for place in KINDS if place in limits]
-    low, high = AMPLITUDES
-    if low in limits and high in limits and limits[low] >= module.integer(*high, "H"):
-        places.remove(low)
-        places.insert(places.index(high) + 1, low)
-    if CORNER.place in limits:
-        places = _about_the_corner(module, places, limits)
-    error = od.SUPERVISION_PHASE_ERROR
-    if error in limits and limits[error] > module.integer(*error, "H"):  # it widens what the others narrow
-        places.sort(key=lambda place: place != error)
+
+    def turn(place: Multiplexer) -> int:
+        if place in WIDENING:
+            more = limits[place] - module.read(*place, KINDS[place].layout)
+            return 0 if WIDENING[place] * more > 0 else 2
+        return 1 if place == CORNER.place else 2
+
+    places = sorted((place for place in KINDS if place in limits), key=turn)
     for place in places:
         layout = KINDS[place].layout
         module.write(*place, layout, limits[place] if layout == "f" else int(limits[place]))
@@ -149,17 +156,6 @@ def write_limits(module: NodeAccess, limits: Mapping[Multiplexer, float]) -> Non
             raise CommissioningError(
                 f"{module.name}: {od.place_text(place)} reads {there:g}, not {limits[place]:g} as written"
             )
-
-
-def _about_the_corner(
-    module: NodeAccess, places: list[Multiplexer], limits: Mapping[Multiplexer, float]
-) -> list[Multiplexer]:
-    low, high = AMPLITUDES
-    before, after = float(module.read(*CORNER.place, CORNER.layout)), limits[CORNER.place]
-    rises = after > 0.0 and (before == 0.0 or after < before)
-    order = [high, CORNER.place, low] if rises else [low, CORNER.place, high]
-    first = [place for place in order if place in limits]
-    return [*first, *(place for place in places if place not in first)]
 
 
 # Collects samples: seconds, least number of samples, and a callable that gets 0..1.
