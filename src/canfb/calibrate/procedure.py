@@ -12,7 +12,14 @@ from canfb.calibrate.measurement import Measurement, Settings, SpeedSamples, blo
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError, CanfbError
-from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress, as_real32
+from canfb.master.access import (
+    CommissioningError,
+    NodeAccess,
+    ObjectAbsentError,
+    Progress,
+    Unchanged,
+    as_real32,
+)
 from canfb.master.all_or_nothing import Guard, change, put_in_force, put_in_force_again, read_active
 from canfb.master.samples import TrackSamples, listening
 from canfb.master.session import CORNERS, read_corners
@@ -246,13 +253,12 @@ def _start(module: NodeAccess, command: int) -> None:
 def _wait(module: NodeAccess, target: int, progress: Progress, look: Callable[[], None]) -> None:
     """Until 2030:02 is ``target``. CommissioningError, with what to do, where nothing moves."""
     master = module.master
-    percent, count = -1, -1
-    progress_s = sample_s = master.now()
+    progressing, sampling = Unchanged(master), Unchanged(master)
     while True:
         master.wait(LOOK_S)
         look()
         state = module.integer(*od.MEASUREMENT_STATE, "B")
-        percent, last = module.integer(*od.MEASUREMENT_PROGRESS, "B"), percent
+        percent = module.integer(*od.MEASUREMENT_PROGRESS, "B")
         progress(percent / 100.0)
         if state == target:
             return
@@ -261,16 +267,11 @@ def _wait(module: NodeAccess, target: int, progress: Progress, look: Callable[[]
             raise CalibrationError(f"{module.name} refuses its measurement: {reason.text}", reason)
         if state not in (od.MeasurementState.RECORDING, od.MeasurementState.COMPUTING):
             raise CommissioningError(f"{module.name} has ended its measurement (2030:02 is {state})")
-        count, before = module.integer(*od.FEEDBACK_SAMPLES, "I"), count
-        now = master.now()
-        if count != before:
-            sample_s = now
-        elif state == od.MeasurementState.RECORDING and now - sample_s > STANDING_S:
+        standing_s = sampling.seconds(module.integer(*od.FEEDBACK_SAMPLES, "I"))
+        if state == od.MeasurementState.RECORDING and standing_s > STANDING_S:
             raise CommissioningError(
                 f"{module.name} has processed no sample for {STANDING_S:g} s: it must be OPERATIONAL "
                 f"(NMT start, 000h 01 {module.node_id:02X}), and must receive SYNC and samples"
             )
-        if percent != last:
-            progress_s = now
-        elif now - progress_s > PATIENCE_S:
+        if progressing.seconds(percent) > PATIENCE_S:
             raise CommissioningError(f"{module.name} makes no progress: {percent} % for {PATIENCE_S:g} s")

@@ -129,6 +129,20 @@ class Master(Protocol):
         """Let time pass."""
 
 
+class Unchanged:
+    """How long a value has been the same one."""
+
+    def __init__(self, master: Master, value: int | None = None) -> None:
+        self._master = master
+        self._value, self._since_s = value, master.now()
+
+    def seconds(self, value: int) -> float:
+        now = self._master.now()
+        if value != self._value:
+            self._value, self._since_s = value, now
+        return now - self._since_s
+
+
 @contextlib.contextmanager
 def subscribed(master: Master, callbacks: Iterable[tuple[int, OnFrame]]) -> Iterator[None]:
     with contextlib.ExitStack() as stack:

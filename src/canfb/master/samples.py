@@ -25,6 +25,7 @@ from canfb.master.access import (
     ObjectAbsentError,
     OnFrame,
     Progress,
+    Unchanged,
     subscribed,
 )
 from canfb.signal.phase import FloatArray
@@ -256,9 +257,9 @@ class Listener:
     def __init__(self, master: Master, layout: PdoLayout) -> None:
         self._master = master
         self.recorder = PdoRecorder(layout)
-        self._syncs = self._samples = 0
+        self._syncs = Unchanged(master, 0)
         self._began_s: float | None = None
-        self._last_sync_s = self._last_sample_s = master.now()
+        self._samples: Unchanged | None = None  # from the first SYNC on
 
     @property
     def intervals(self) -> int:
@@ -270,19 +271,15 @@ class Listener:
         return 0.0 if self._began_s is None else self._master.now() - self._began_s
 
     def look(self) -> None:
-        now, recorder, sync_id = self._master.now(), self.recorder, self.recorder.layout.sync_id
-        if recorder.syncs > self._syncs:
-            self._syncs, self._last_sync_s = recorder.syncs, now
-            if self._began_s is None:
-                self._began_s = self._last_sample_s = now
-        if recorder.samples > self._samples:
-            self._samples, self._last_sample_s = recorder.samples, now
-        if now - self._last_sync_s > PATIENCE_S:
+        recorder, sync_id = self.recorder, self.recorder.layout.sync_id
+        if recorder.syncs and self._began_s is None:
+            self._began_s, self._samples = self._master.now(), Unchanged(self._master, 0)
+        if self._syncs.seconds(recorder.syncs) > PATIENCE_S:
             raise CommissioningError(
                 f"no SYNC ({sync_id:03X}h) for {PATIENCE_S:g} s: start the node that produces it, the "
                 "drive or the controller, or let canfb produce it (--rate HZ)"
             )
-        if self._began_s is not None and now - self._last_sample_s > PATIENCE_S:
+        if self._samples is not None and self._samples.seconds(recorder.samples) > PATIENCE_S:
             raise self._no_samples()
 
     def result(self) -> TrackSamples:
@@ -368,13 +365,10 @@ def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress:
 
 def _wait(node: NodeAccess, duration_s: float, progress: Progress) -> None:
     master = node.master
-    began = grown = master.now()
-    count = 0
+    began, recorded = master.now(), Unchanged(master, 0)
     while (passed := master.now() - began) < duration_s:
         progress(UPLOAD_PART * passed / duration_s)
         master.wait(min(RECORDING_LOOK_S, duration_s - passed))
-        now_there = node.integer(*od.RECORDING_RECORDED, "I")
-        if now_there != count:
-            count, grown = now_there, master.now()
-        elif master.now() - grown > (STANDING_S if count else EMPTY_S):
+        count = node.integer(*od.RECORDING_RECORDED, "I")
+        if recorded.seconds(count) > (STANDING_S if count else EMPTY_S):
             return  # the memory is full, or nothing samples
