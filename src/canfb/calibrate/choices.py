@@ -175,12 +175,10 @@ class CalibrateOptions:
 
         ``configured`` are those of the configuration, None for the interface of a module with a source.
         """
-        module, interface = self.module, self.encoder_interface
-        known = [one for one in configured if module in (None, one[0])]
-        if module is None:
-            module = known[0][0] if known else DEFAULT_MODULE
-        if interface is None and known:
-            interface = known[0][1]
+        matching = (one for one in configured if self.module in (None, one[0]))
+        first = next(matching, (DEFAULT_MODULE, None))
+        module = first[0] if self.module is None else self.module
+        interface = first[1] if self.encoder_interface is None else self.encoder_interface
         if module == interface:
             raise ConfigError(f"--encoder-interface {interface}: must differ from the node-ID of the module")
         return module, interface
