@@ -227,12 +227,9 @@ def watch(
     samples = module.integer(*od.FEEDBACK_SAMPLES, "I")
     while True:
         passed = master.now() - began
-        more = {}
-        for name, count in counted(first, read_counters(module)).items():
-            known = usual.get(name, 0)
-            expected = known * passed / usual_s
-            if not known or count > MORE_THAN_BEFORE * (expected + 1.0):
-                more[name] = count
+        allowed = {name: MORE_THAN_BEFORE * (known * passed / usual_s + 1.0) for name, known in usual.items()}
+        flagged = counted(first, read_counters(module))
+        more = {name: count for name, count in flagged.items() if count > allowed.get(name, 0.0)}
         if more:
             raise CommissioningError(
                 f"{module.name} flags samples with the new limits that it did not flag before: "
