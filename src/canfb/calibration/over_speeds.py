@@ -111,12 +111,11 @@ def calibrate_over_speeds(
         found.append(_AtSpeed.of(one, adc_bits, entries))
         report(0.7 * (number + 1) / len(measured))
     path = fit_path([one.fundamental for one in found])
-    found = [one.again(path, adc_bits, entries) if one.varies(path) else one for one in found]
+    found = [one.steadied(path, adc_bits, entries) for one in found]
     path = fit_path([one.fundamental for one in found])
     report(0.95)
-    lowest = found[int(np.argmin(np.abs(hertz)))]
-    calibration = at_standstill(lowest.calibration, lowest.hertz, path, entries)
-    calibration = _judged(calibration, [at_standstill(o.calibration, o.hertz, path, entries) for o in found])
+    each = [at_standstill(one.calibration, one.hertz, path, entries) for one in found]
+    calibration = _judged(each[int(np.argmin(np.abs(hertz)))], each)
     report(1.0)
     return SpeedCalibration(calibration, path)
 
@@ -154,9 +153,7 @@ def measured_at_standstill(
     CalibrationError where it is refused.
     """
     path = replace(NO_PATH, cosine_delay_s=cosine_delay_s, corners=corners)
-    found = _AtSpeed.of(measured, adc_bits, entries)
-    if found.varies(path):
-        found = found.again(path, adc_bits, entries)
+    found = _AtSpeed.of(measured, adc_bits, entries).steadied(path, adc_bits, entries)
     return at_standstill(found.calibration, found.hertz, path, entries)
 
 
@@ -210,7 +207,7 @@ class _AtSpeed:
     def hertz(self) -> float:
         return float(self.speed[self.record.valid].mean())
 
-    def varies(self, path: PathFit) -> bool:
+    def _varies(self, path: PathFit) -> bool:
         speed = self.speed[self.record.valid]
         gains = [np.abs(response(speed, hz)) for hz in (path.corners.corner_hz, path.corners.of_cosine_hz)]
         return bool(
@@ -218,7 +215,10 @@ class _AtSpeed:
             or max(np.std(gain) / np.mean(gain) for gain in gains) > STEADY_PART
         )
 
-    def again(self, path: PathFit, adc_bits: int | None, entries: int) -> _AtSpeed:
+    def steadied(self, path: PathFit, adc_bits: int | None, entries: int) -> _AtSpeed:
+        """Where the speed varies too much: the samples moved to its mean, and fitted again."""
+        if not self._varies(path):
+            return self
         at, record = self.hertz, self.record
         ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
         cosine = sampled_together(record, path.turned_rad(self.speed) - float(path.turned_rad(at)))
