@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from canfb.files import writing
 from canfb.master.machine_watch import Provenance, origins
 from canfb.master.samples import TrackSamples, write_npz
 from canfb.report import pictures
-from canfb.report.page import beside, figure, gallery, page, section, sentence, table
+from canfb.report.page import beside, figure, gallery, page, section, table
 from canfb.rows import Row
 from canfb.sdo.tables import as_yaml
 from canfb.signal.correction import NO_CORRECTION, Correction
@@ -115,7 +115,7 @@ def report_html(
     tables = "".join(map(section, found.sections))
     return _page(
         where,
-        list(map(sentence, found.said)),
+        found.said,
         beside(tables, _lissajous(measured.samples, measured.found, limits))
         + _over_speed(measured, where)
         + gallery("Pictures", _pictures(measured, done))
@@ -126,13 +126,13 @@ def report_html(
 def refusal_html(
     samples: TrackSamples, refused: CalibrationError, where: Provenance, limits: SampleLimits | None = None
 ) -> str:
-    said = [f"Refused: {refused}.", "Nothing was written to the module."]
+    said = [f"refused: {refused}", "nothing was written to the module"]
     rows = [Row("samples", f"{len(samples)}; {samples.origin}"), Row("missed", str(samples.missed))]
     found = beside(table("Measurement", rows), _lissajous(samples, NO_CORRECTION, limits))
     return _page(where, said, found + table("Origin", origins(where), style="origin"), good=False)
 
 
-def _page(where: Provenance, said: list[str], body: str, good: bool = True) -> str:
+def _page(where: Provenance, said: Sequence[str], body: str, good: bool = True) -> str:
     title = f"Reference measurement{f', encoder {where.encoder}' if where.encoder else ''}"
     footer = f"{FOOTER}{ANGLES if where.cycles_per_revolution else ''}"
     return page(title, place_line(where), said, body, footer, good)

@@ -35,7 +35,7 @@ from canfb.master.machine_watch import (
 from canfb.master.samples import UPLOAD_PART, TrackSamples, listen, record
 from canfb.master.session import KINDS, Session, SupervisionLimits, write_limits
 from canfb.report import pictures
-from canfb.report.page import figure, gallery, page, section, sentence, table
+from canfb.report.page import figure, gallery, page, section, table
 from canfb.rows import Findings, Result, Row, Section, those
 from canfb.signal.limits import RPM, samples_without_harm
 from canfb.view.module_view import coarse_layout
@@ -290,8 +290,7 @@ def write_page(folder: Path, done: Commissioned) -> Path:
         + gallery("Pictures", _pictures(done))
         + table("Origin", origins(done.where), style="origin")
     )
-    said = list(map(sentence, found.said))
-    text = page("Limits of the supervision", place_line(done.where), said, body, FOOTER)
+    text = page("Limits of the supervision", place_line(done.where), found.said, body, FOOTER)
     write_whole(path, text.encode())
     return path
 

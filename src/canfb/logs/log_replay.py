@@ -34,7 +34,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.replay.findings import COLUMNS as SAMPLE_COLUMNS, KINDS, Block, DriftTracks, Overview
 from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.replay_result import ReplayResult
-from canfb.report.page import beside, figure, gallery, page, sentence, table
+from canfb.report.page import beside, figure, gallery, page, table
 from canfb.report.pictures import Curve, lissajous, over_time
 from canfb.rows import Row
 from canfb.signal.correction import Correction
@@ -138,8 +138,14 @@ def write_page(path: Path, log: BusLogFile, result: ReplayResult, overview: Over
         body += table("Faults", [*rows, Row("", f"and {more} more" if more > 0 else None)])
     other = any(one.different or one.only_recorded or one.only_replayed for one in replay.compared.values())
     good = whole and not other and not any(replay.faults.times.values())
-    said = [sentence(one) for one in (*result.notes(), result.verdict())]
-    text = page(f"Replay of {log.path.name}", result.head(), said, body, "Margin: what is left of it", good)
+    text = page(
+        f"Replay of {log.path.name}",
+        result.head(),
+        [*result.notes(), result.verdict()],
+        body,
+        "Margin: what is left of it",
+        good,
+    )
     with writing(path, "--report"):
         path.write_text(text, encoding="utf-8")
 

@@ -101,9 +101,9 @@ def page(title: str, place: str, said: Sequence[str], body: str, footer: str, go
     """The whole page; all but ``body`` (HTML) is plain text.
 
     place    when, where
-    said     the verdict, its first line in bold; ``good``: its tone
+    said     the verdict, its first line in bold, each as a sentence; ``good``: its tone
     """
-    first, *others = (_unbroken(escape(line)) for line in said)
+    first, *others = (_unbroken(escape(_sentence(line))) for line in said)
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -119,7 +119,7 @@ def _unbroken(text: str) -> str:
     return re.sub(r"(?<![\w-])--[\w-]+", r'<span class="option">\g<0></span>', text)
 
 
-def sentence(text: str) -> str:
+def _sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
 
 
