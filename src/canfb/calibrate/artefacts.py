@@ -193,27 +193,35 @@ def _pictures(measured: Measurement, done: Installation) -> list[str]:
     shown, which = (
         (on_samples, "of the measurement") if done.fresh is None else (done.fresh, "taken after it")
     )
-    curves = pictures.error_over_phase(before, after, "Mean error over the phase, before and after")
-    left = pictures.remaining_error(after, calibration.uncertainty_peak)
-    orders = pictures.harmonics(before, after, calibration.residual_rms, calibration.samples_used)
-    listed = [
-        (
+    return [
+        figure(
             "Correction table",
             "phase minus raw phase; Table 1 alone needs four waves of 1.1 %",
             pictures.table_curve(calibration.table, measured.before.table),
         ),
-        (
+        figure(
             "Coverage",
             f"every phase must be covered{coverage_warning(measured)}",
             pictures.coverage(samples_in_bins(on_samples.phase)),
         ),
-        ("Error over the phase", "mean in each 1/64 cycle, before and after", curves),
-        ("Remaining error", f"on its own scale; noise alone gives {noise:.2g} % rms", left),
-        ("Harmonics of the error", "1: offset; 2: gain and phase error; 4, 8, 12: Table 1 itself", orders),
-        (
+        figure(
+            "Error over the phase",
+            "mean in each 1/64 cycle, before and after",
+            pictures.error_over_phase(before, after, "Mean error over the phase, before and after"),
+        ),
+        figure(
+            "Remaining error",
+            f"on its own scale; noise alone gives {noise:.2g} % rms",
+            pictures.remaining_error(after, calibration.uncertainty_peak),
+        ),
+        figure(
+            "Harmonics of the error",
+            "1: offset; 2: gain and phase error; 4, 8, 12: Table 1 itself",
+            pictures.harmonics(before, after, calibration.residual_rms, calibration.samples_used),
+        ),
+        figure(
             "Deviation of single samples",
             f"{len(shown.error)} samples {which}",
             pictures.histogram(shown.error, shown.rms, calibration.noise_cycles),
         ),
     ]
-    return [figure(name, text, svg) for name, text, svg in listed]

@@ -303,25 +303,25 @@ def _pictures(done: Commissioned) -> list[str]:
     )
     largest = done.new.bounds(interval_s).acceleration or 0.0
     to_rad = machine.rad(1.0, 2, done.new.cycles_per_revolution)
-    listed = [
-        (
+    return [
+        figure(
             "Residual",
             "of each sample, eq. 12, with the residual limit in force",
             pictures.residual_histogram(machine.motion.residual, old, new),
         ),
-        (
+        figure(
             "Amplitude over the phase",
             "lowest, mean and highest of the samples in each 1/64 cycle, with its limits",
             pictures.amplitude_over_phase(machine.tracks.over_phase, low, high),
         ),
-        (
+        figure(
             "Acceleration over time",
             "averaged as far as the noise demands, with the limit 2010:02",
             pictures.acceleration_over_time(
                 to_rad * smooth_acceleration(machine.motion.residual), interval_s, to_rad * largest
             ),
         ),
-        (
+        figure(
             "Lissajous figure",
             "all samples within the new limits of the amplitude",
             pictures.lissajous(
@@ -332,7 +332,6 @@ def _pictures(done: Commissioned) -> list[str]:
             ),
         ),
     ]
-    return [figure(name, text, svg) for name, text, svg in listed]
 
 
 Values = Mapping[od.Multiplexer, float]
