@@ -177,7 +177,8 @@ class AdaptConfig:
         most, half = 1.0 + 0.5 * self.gain, 0.5 * self.phase_rad
         turned = math.atan2(most * math.sin(self.phase_rad), 2.0 - most + most * math.cos(self.phase_rad))
         rest = self.hidden_amplitude - (1.0 - math.cos(half))
-        return (turned + math.asin(rest / math.cos(half))) / (2.0 * math.pi)
+        angle = turned + math.asin(rest / math.cos(half))
+        return (1.0 - math.tan(math.pi / 4.0 - angle / 2.0)) / 4.0  # where Table 1 is steepest
 
     @property
     def hidden_amplitude(self) -> float:
