@@ -153,6 +153,12 @@ def test_a_machine_that_never_stops_keeps_its_limits_of_motion() -> None:
     assert 50.0 * N / 2 / math.pi / 1e6 < limit < 0.03
 
 
+def test_a_slow_duty_leaves_the_phase_error_as_declared() -> None:
+    _, _, choices = SimulatedMachine(duty(2.0, 0.5), GOOD).commissioned(COUNT)
+    assert not choices[od.SUPERVISION_PHASE_ERROR].changes
+    assert choices[od.SUPERVISION_RESIDUAL_LIMIT].value >= 4 * choices[od.SUPERVISION_PHASE_ERROR].value
+
+
 def test_a_larger_margin_gives_wider_limits() -> None:
     limits = [fresh("fast").commissioned(COUNT, margin)[1] for margin in (1.2, 2.0, 3.0)]
     residual = [one.bounds(1.0 / RATE_HZ).residual_limit for one in limits]

@@ -402,12 +402,11 @@ def _whole(
     rows = rows[samples >= MIN_SAMPLES_PER_CYCLE]
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_CYCLES)).astype(np.int64)]
     around = at[:, None] + np.arange(-1, 3)
-    with np.errstate(divide="ignore", invalid="ignore"):  # events that are not a clean crossing
-        after = _interpolate(sine[around], time[around] - time[at][:, None], np.zeros(len(at)))
-    crossing = after + time[at]
+    crossing = _interpolate(sine[around], time[around] - time[at][:, None], np.zeros(len(at))) + time[at]
     return at[rows + 1] + 1, at[rows + 2], crossing[rows[:, None] + np.arange(4)]
 
 
+@np.errstate(divide="ignore", invalid="ignore")  # events that are not a clean crossing
 def _interpolate(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
     """The polynomial through the points of each row, by Neville's algorithm."""
     for step in range(1, x.shape[-1]):

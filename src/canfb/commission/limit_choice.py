@@ -18,6 +18,7 @@ from canfb.calibration.path_fit import LowPass
 from canfb.calibration.recording import positions
 from canfb.calibration.result import MOST_CHANGE_CYCLES, about_mean, changed, robust_rms
 from canfb.commission.machine_figures import (
+    TELLING_CYCLES,
     MotionFigures,
     Observation,
     TrackFigures,
@@ -145,7 +146,7 @@ def _motion(
             "acceleration was not seen: let the machine start and stop meanwhile, or set --acceleration"
         )
         return dict.fromkeys((od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION), (None, why))
-    limit, why = _residual_limit(motion, margin, known)
+    limit, why = _residual_limit(motion, margin, known, error_cycles)
     # A smaller acceleration would narrow the limit.
     largest = max(margin * motion.acceleration, known, limit / LIMIT_UNITS - 4.0 * error_cycles)
     most = max_acceleration(n, 1.0 / machine.interval_s)
@@ -159,19 +160,18 @@ def _motion(
     return {od.SUPERVISION_RESIDUAL_LIMIT: (limit, why), od.SUPERVISION_ACCELERATION: (value, words)}
 
 
-def _residual_limit(motion: MotionFigures, margin: float, known: float) -> tuple[int, str]:
+def _residual_limit(
+    motion: MotionFigures, margin: float, known: float, error_cycles: float
+) -> tuple[int, str]:
     """2010:01, and why. ``known`` is an acceleration that is given, cycles per interval^2; 0.0: none."""
-    noise = NOISE_SIGMAS * motion.residual_noise
+    noise, least = NOISE_SIGMAS * motion.residual_noise, max(LEAST_RESIDUAL_LIMIT, 4.0 * error_cycles)
     needed, why = _largest(
         (margin * max(motion.residual_peak, motion.acceleration + noise), f", times {margin:g}"),
         (
             known + margin * noise,
             f": the acceleration given, and {margin:g} times {NOISE_SIGMAS:g} standard deviations",
         ),
-        (
-            LEAST_RESIDUAL_LIMIT,
-            f": {LEAST_RESIDUAL_LIMIT:g} cycle, so that the encoder may drift from its table",
-        ),
+        (least, f": {least:.2g} cycle, so that the encoder may drift from its table"),
     )
     if needed > RESIDUAL_LIMIT:
         why = ": the widest limit, at which one bad sample is still safe; increase the SYNC rate"
@@ -186,10 +186,11 @@ def _largest(*found: tuple[float, str]) -> tuple[float, str]:
 
 
 def _phase_error(motion: MotionFigures, margin: float) -> Chosen:
-    if motion.turned < LEAST_TURNED_CYCLES:
+    if motion.turned < LEAST_TURNED_CYCLES or motion.top_speed < TELLING_CYCLES:
         return (
             None,
-            f"the machine moved by {motion.turned:.2g} cycles only, so the phases did not show their errors",
+            f"the machine moved by {motion.turned:.2g} cycles, at most {motion.top_speed:.2g} per sample: "
+            "too little for the phases to show their errors",
         )
     least = CALIBRATED_PHASE_ERROR_CYCLES
     largest, why = _largest(
@@ -347,9 +348,9 @@ def _follow(
         return start, followed
     missed = f"; {samples.missed} samples did not come" if samples.missed else ""
     raise CommissioningError(
-        f"the position is lost in the samples ({in_words(followed.flagged) or 'none flagged'}{missed}): the "
-        "machine accelerates by more than the residual limit, or samples are lost; increase the SYNC rate, "
-        "or let it move more slowly"
+        f"the position is lost in the samples ({in_words(followed.flagged) or 'none flagged'}{missed}): find "
+        "the cause of what is flagged; else the machine accelerates by more than the residual limit, or "
+        "samples are lost: increase the SYNC rate"
     )
 
 
