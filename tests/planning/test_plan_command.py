@@ -198,6 +198,8 @@ def test_a_configuration_and_options_before_it(tmp_path: Path, command: Command)
     assert other["bus"]["sync_hz"] == 1000.0
     assert other["modules"][0]["cycles_per_revolution"] == 1000
     assert other["modules"][0]["acceleration"]["stated_rad_s2"] == 3.0
+    poor = written(tmp_path, "modules: [{node_id: 32, phase_error_cycles: 0.05}]\n")
+    assert "first, for detection: set max_acc" in command("plan --acceleration 80", poor).out
 
 
 def test_a_drive_its_frames_and_its_torque(tmp_path: Path, command: Command) -> None:

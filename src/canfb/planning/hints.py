@@ -172,7 +172,7 @@ def _sharper(plan: Plan) -> Ways:
     declared = max(one.settings.phase_error_cycles for one in plan.modules)
     least = (WELL - WEIGHTS * declared) / 2.0 * LEAVES
     taken = max(budget.motion_cycles for budget in plan.budgets)
-    if taken > least:
+    if taken > least > 0.0:
         rate_hz = float(rounded_up(plan.sync_hz * math.sqrt(taken / least)))
         yield f"raise the SYNC rate to {rate_hz:g} Hz", replace(plan, sync_hz=rate_hz)
 
