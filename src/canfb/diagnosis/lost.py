@@ -72,7 +72,7 @@ ADVICE: tuple[tuple[tuple[LossCause, ...], bool | None, str], ...] = (
         "a clock of the encoder interface that is not restarted while the module runs",
     ),
     ((LossCause.TIME,), False, "sample times from the encoder interface: map 2000:05 (times: true)"),
-    ((LossCause.TIME,), False, "a SYNC counter (1019h), and a bus driver with receive times"),
+    ((LossCause.TIME,), None, "one even SYNC, its counter (1019h), and a bus driver with receive times"),
     (
         (LossCause.PAUSE,),
         None,
@@ -227,7 +227,7 @@ class LostPosition:
         node = f"{self.node_id:#04x}"
         return [
             f"stand still, then canfb node reset {node}: the count begins at 0; reference the machine again",
-            "coarse track: finds the count by itself, in motion too"
+            "coarse track: finds the speed, in motion too; the count if 2010:05 is below half a cycle"
             if self.coarse
             else "coarse track: not mapped (2000:03 and 2000:04 in an RPDO)",
             "zero pulse: two that agree set the count right, once coarse track or two pulses know the speed"
@@ -242,10 +242,10 @@ class LostPosition:
         loss, in_force = self.loss, self.limits
         if loss is None:
             return []
-        cause, missed = loss.cause, loss.faults & StatusBit.MISSED
+        cause, missed, residual = loss.cause, loss.faults & StatusBit.MISSED, loss.faults & StatusBit.RESIDUAL
         rate = f" at {self.sample_hz:.4g} Hz and 2010:01: a faster SYNC, or a gentler motion"
         limits = self.cycles_per_revolution, self.sample_hz, self.limits.widest_cycles
-        gentler = cause in MOTION and self.sample_hz > 0.0
+        gentler = cause in MOTION and self.sample_hz > 0.0 and not in_force.acceleration_rad_s2
         largest = max_acceleration(*limits) if gentler else 0.0
         doubtful = cause is LossCause.AMBIGUOUS or (cause is LossCause.COASTED and missed)
         return those(
@@ -259,7 +259,7 @@ class LostPosition:
                 loss.faults & BAD_SIGNAL,
                 "a signal within 2001:03 to 2001:04: watch it with canfb monitor, check the wiring",
             ),
-            *(self._narrow(loss) if cause in MOTION or loss.faults & StatusBit.RESIDUAL else ()),
+            *(self._narrow(loss) if cause in MOTION or (residual and cause is not LossCause.PAUSE) else ()),
             (gentler, f"the motion must stay below {largest:.4g} rad/s²{rate}"),
             *((cause in causes and timed in (None, in_force.timed), text) for causes, timed, text in ADVICE),
         )
