@@ -96,10 +96,11 @@ def test_faults_reset_and_saved_parameters() -> None:
     assert replay.restarts == 0
 
 
-def test_a_module_that_is_switched_off_and_on() -> None:
+@pytest.mark.parametrize("at_s", [5.0, 0.5])
+def test_a_module_that_is_switched_off_and_on(at_s: float) -> None:
     first, sent_first = live(session(200))
     second, sent_second = live(session(200, speed=0.03))
-    again = [frame._replace(timestamp=(frame.timestamp or 0.0) + 5.0) for frame in second]
+    again = [frame._replace(timestamp=(frame.timestamp or 0.0) + at_s) for frame in second]
     replay, sent = replayed([*first, *again])
     assert contents(sent[: len(sent_first)]) == contents(sent_first)
     assert contents(sent[-len(sent_second) :]) == contents(sent_second)

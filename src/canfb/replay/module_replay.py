@@ -384,6 +384,7 @@ class ModuleReplay:
             self.restarts += 1
             self._command(NmtCommand.RESET_NODE, now)
             self.module.chain.restart()  # power-on: it knows nothing of the machine
+        self._boot_up_s = -LONGEST_DELAY_S  # that of the replayed module has its counterpart
 
     def _pairs(self, can_id: int) -> OwnFrames:
         if can_id not in self._own_frames:
