@@ -7,6 +7,7 @@ import random
 from typing import Any
 
 import pytest
+from hypothesis import assume, given, strategies as st
 from witness_kit import AMPLITUDE, Machine, at, flags, moving
 
 from canfb.objects import LossCause, StatusBit
@@ -84,13 +85,25 @@ def stand(machine: Machine) -> None:
     machine.run(STILL_SAMPLES)
 
 
-def test_after_a_pause_at_standstill_the_count_goes_on_from_the_nearest_cycle() -> None:
-    machine = stopped()
+@given(moved=st.floats(-9.0, 9.0), declared=st.sampled_from([0.0, 0.1]), missed=st.integers(0, 2))
+def test_a_machine_that_stood_is_lost_if_its_phase_moved_in_a_pause(
+    moved: float, declared: float, missed: int
+) -> None:
+    machine, away = stopped(max_acceleration_cycles=declared), abs(math.remainder(moved, 1.0))
+    assume(abs(away - 0.05) > 1e-3)
+    for _ in range(missed):  # behind them it is valid at once, and the samples after it still decide
+        machine.miss()
+    assert machine.step().valid
+    assert machine.chain.stages.estimator.in_doubt == (missed > 0)
     machine.chain.resume(100_000.0)
-    machine.position += 0.3
-    got = machine.step()
-    assert (got.valid, got.cycles) == (True, math.floor(machine.position))
-    stand(machine)
+    machine.position += moved  # somebody turns it
+    counts = {(got.valid, got.cycles - math.floor(machine.position)) for got in machine.run(20)}
+    assert counts == {(True, -round(moved))} if away < 0.05 else not any(valid for valid, _ in counts)
+    assert away < 0.05 or machine.chain.stages.estimator.loss_cause is LossCause.PAUSE
+
+
+def test_a_position_lost_at_standstill_starts_again_after_a_pause() -> None:
+    machine = stopped()
     for _ in range(5):
         machine.miss()
     assert machine.chain.lost
@@ -98,20 +111,6 @@ def test_after_a_pause_at_standstill_the_count_goes_on_from_the_nearest_cycle() 
     machine.chain.resume()
     assert not machine.chain.lost, "it stood before, and since"
     assert machine.chain.step(at(0.5)).cycles == 0
-
-
-@pytest.mark.parametrize("missed", [1, 2])
-def test_a_valid_position_in_doubt_goes_on_after_a_pause(missed: int) -> None:
-    """Behind missing samples it is valid at once, and the samples after it still decide."""
-    machine = stopped()
-    for _ in range(missed):
-        machine.miss()
-    assert machine.step().valid
-    assert machine.chain.stages.estimator.in_doubt
-    machine.chain.resume(100.0)
-    machine.position += 0.3
-    for got in machine.run(5):
-        assert (got.valid, got.cycles) == (True, math.floor(machine.position))
 
 
 def test_a_position_that_is_not_valid_at_a_pause_is_lost() -> None:

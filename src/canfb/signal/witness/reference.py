@@ -18,8 +18,6 @@ from canfb.signal.tracker import Track
 from canfb.signal.witness.witness import CoarseTrack, Pair, Witness
 from canfb.signal.witness.zero_pulse import Pulse, PulseVerdict, ZeroPulse
 
-MOVED_CYCLES = 0.05  # what the errors of two phases do not show: twice the largest one, and once more as much
-
 
 class Reference:
     """Joins coarse track and zero pulse to an estimator; the second position brings its own
@@ -260,7 +258,7 @@ def pulse_between(
     bend = acceleration * elapsed * elapsed / 2.0
     position = before.phase + place * way - bend * place * (1.0 - place)
     turns = math.floor(position)
-    turned_back = abs(way) <= abs(bend) + MOVED_CYCLES  # between the two, perhaps
+    turned_back = abs(way) <= abs(bend) + speeds.MOVED_CYCLES  # between the two, perhaps
     direction = 0 if turned_back else (1 if way > 0.0 else -1)
     return Pulse(before.cycles + turns, position - turns, direction, time - (1.0 - place) * elapsed)
 
@@ -271,6 +269,6 @@ def _creeping(places: Sequence[speeds.Place]) -> int:
         moved += (later[0] - before[0]) + (later[1] - before[1])
         time += later[2]
         step = step or moved / time
-        if abs(moved) > MOVED_CYCLES:
+        if abs(moved) > speeds.MOVED_CYCLES:
             return int(math.copysign(step * moved * time >= moved * moved / 2.0, moved))
     return 0
