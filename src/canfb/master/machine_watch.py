@@ -177,8 +177,8 @@ class SpeedReadings:
         if listening.elapsed_s < self._next_s or not listening.intervals:
             return False
         self._next_s = listening.elapsed_s + READINGS_EVERY_S
-        before = listening.intervals
-        self.found.append(SpeedReading((before + listening.intervals) / 2.0, self.read()))
+        before, speed = listening.intervals, self.read()
+        self.found.append(SpeedReading((before + listening.intervals) / 2.0, speed))
         return False
 
     def read(self) -> float:
