@@ -90,7 +90,7 @@ def test_a_machine_that_stood_is_lost_if_its_phase_moved_in_a_pause(
     moved: float, declared: float, missed: int
 ) -> None:
     machine, away = stopped(max_acceleration_cycles=declared), abs(math.remainder(moved, 1.0))
-    assume(abs(away - 0.05) > 1e-3)
+    assume(not 0.031 < away < 0.065)  # a raw phase moves by pi/4 to pi/2 of it
     for _ in range(missed):  # behind them it is valid at once, and the samples after it still decide
         machine.miss()
     assert machine.step().valid
