@@ -30,7 +30,7 @@ from canfb.master.all_or_nothing import Guard, put_in_force, save
 from canfb.master.samples import TrackSamples
 from canfb.module.device_configuration import configuration_of, read_configuration, restored_configuration
 from canfb.module.feedback_module import FeedbackModule
-from canfb.objects import Multiplexer
+from canfb.objects import SUPERVISION_PHASE_ERROR, Multiplexer
 from canfb.sdo.backups import Backup, restore_backup
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.tables import TableFile, TableTasks
@@ -172,9 +172,10 @@ LIMITS = {Multiplexer(0x2010, 1): 9000, Multiplexer(0x2010, 2): 12.5, Multiplexe
 LIMITS_BEFORE = {Multiplexer(0x2010, 1): 21845, Multiplexer(0x2010, 2): 0.0, Multiplexer(0x2010, 4): 0}
 
 
-def prepared(used: Correction = OLD, *, operational: bool = True) -> Bench:
+def prepared(used: Correction = OLD, *, operational: bool = True, phase_error: int = 819) -> Bench:
     bench = Bench(sync=False, operational=operational, store=MemoryStore(), config={"coast_samples": 5})
     put_in_force(bench.access, used)
+    bench.access.write(*SUPERVISION_PHASE_ERROR, "H", phase_error)
     save(bench.access)
     return bench
 
@@ -204,6 +205,10 @@ def upload(bench: Bench) -> object:
     return TableTasks(bench.access, Guard()).upload(file, active=True, keep=True)
 
 
+def clear(bench: Bench) -> object:
+    return TableTasks(bench.access, Guard()).clear(conditioning=True, keep=True)
+
+
 def limits(bench: Bench) -> object:
     return set_limits(bench.access, LIMITS_BEFORE, LIMITS, lambda: None, Guard(), keep=True)
 
@@ -211,6 +216,7 @@ def limits(bench: Bench) -> object:
 TASKS = {
     "restore": (Task(lambda: prepared(operational=False), restore), 61),
     "table upload": (Task(prepared, upload), 9),
+    "table clear": (Task(lambda: prepared(NEW, phase_error=300), clear), 9),
     "commission": (Task(prepared, limits), 1),
 }
 

@@ -164,20 +164,14 @@ def test_nothing_staged(canfb: Commands) -> None:
 
 BAD = {
     "a key": ("sine_gain:", "sine_gian:", "line {line}: conditioning.sine_gian: unknown key; known"),
-    "a type": (
-        "sine_gain: 1.0",
-        "sine_gain: one",
-        "line {line}: sine_gain must be a finite number, not 'one'",
-    ),
-    "a double": (
-        "sine_gain: 1.0",
-        "sine_gain: 1.0\n  sine_gain: 2.0",
-        "line {next}: key 'sine_gain' is there",
-    ),
+    "a type": ("sine_gain: 1.0", "sine_gain: one",
+               "line {line}: sine_gain must be a finite number, not 'one'"),
+    "a double": ("sine_gain: 1.0", "sine_gain: 1.0\n  sine_gain: 2.0",
+                 "line {next}: key 'sine_gain' is there"),
     "a number": ("crc32: ", "crc32: 1", "an entry was changed"),
     "entries": ("entries:", "entries: [one]\nothers:", "line {line}: entries: a correction table is a"),
     "no YAML": ("conditioning:", "conditioning: [", "line "),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", BAD)

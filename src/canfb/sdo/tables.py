@@ -452,6 +452,7 @@ class TableTasks:
             check_can_save(self._module)
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
         waiting = read_conditioning(self._module)
+        declared = self._module.read_known(od.SUPERVISION_PHASE_ERROR)
 
         def act() -> None:
             put()
@@ -460,6 +461,8 @@ class TableTasks:
 
         def back() -> None:
             put_in_force_again(self._module, before)
+            if declared is not None:
+                self._module.write(*od.SUPERVISION_PHASE_ERROR, "H", declared)
             if self._module.integer(*od.TABLE_STAGED_CRC, "I") == staged:
                 write_conditioning(self._module, waiting)
 
