@@ -193,10 +193,13 @@ def test_after_a_pause_the_offset_is_that_of_before(slip: float) -> None:
     assert has(got, DISAGREES)[-1] == bool(slip)
 
 
-def test_a_machine_that_turns_after_a_pause_did_not_stand_still() -> None:
-    machine = standing()
+@each("turned", [0.0, 5.3])
+def test_a_machine_that_turns_in_or_after_a_pause_did_not_stand_still(turned: float) -> None:
+    """Whoever turned it may have restarted the other sensor."""
+    machine = standing(EXACT, FINE)
     machine.chain.resume(1000.0)
-    machine.speed = 83.2
+    machine.position, machine.other = machine.position + turned, machine.other + turned % 3.0
+    machine.speed = 0.0 if turned else 83.2
     got = machine.run(400)
     assert got[-1].status & LOST
     assert not any(has(got, VALID))

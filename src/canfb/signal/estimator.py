@@ -49,7 +49,6 @@ class Estimator:
         "_past",
         "_past_places",
         "_speeds",
-        "_stood",
         "_virtual",
         "declared",
         "loss_cause",
@@ -104,7 +103,6 @@ class Estimator:
         self._past_places = 0
         self._at_start = False  # the doubt began while the start was assumed
         self._coasted = 0.0  # intervals since the last good sample
-        self._stood = False  # before a pause, and no sample was taken since
         self.places.clear()
 
     def resume(self) -> None:
@@ -112,10 +110,8 @@ class Estimator:
         if self.lost or not self.places:
             self.restart()
         else:
-            stood = speeds.stood_still(self.places, least=0)
             self.tracker.halt()
             self._begin_places()
-            self._stood = stood  # the next phase has to say that it did so since
 
     def lose(self, cause: LossCause, starts: bool = True) -> None:
         """Call the position lost; eq. 9 counts on. ``starts``: the count of the first sample is known."""
@@ -195,10 +191,6 @@ class Estimator:
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
-        if self._stood:
-            self._stood = False
-            if self.tracker.look(phase).residual > speeds.MOVED_CYCLES:
-                self.lose(LossCause.PAUSE, starts=False)
         second = self.timed and len(self.places) == 1
         tracker, steady = self.tracker, elapsed == 1.0 and self.tracker.is_steady
         if steady and not (second or self._doubt or self.lost or self._speeds.active):

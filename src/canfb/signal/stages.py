@@ -74,6 +74,9 @@ class Stages:
     clock       sampling intervals since the start
     """
 
+    last: Feedback | None
+    place: Track | Feedback | None
+
     def __init__(self, config: ChainConfig, table: CorrectionTable | None) -> None:
         check_config(config)
         limits = config.chain_limits
@@ -84,14 +87,9 @@ class Stages:
         self.tracks = Conditioner(config.interval_s)
         self.second: SecondPosition | None = None
         self.samples = 0
-        self.last: Feedback | None = None
-        self.place: Track | Feedback | None = None
         self.clock = 0.0
-        self._nothing_in_doubt = False  # the next sample may be a usual one
         self._stands = False  # the counts repeat, and the machine stands still
-        self._sine = self._cosine = nan  # counts of the last sample
-        self._speed = 0.0
-        self.was_valid = 0  # the last sample
+        self._forget_sample()
         self._make_reference(limits)
         self.set_limits(limits)
         self.activate(Correction(table, config.conditioning))
@@ -165,23 +163,28 @@ class Stages:
 
     def resume(self, moved: bool, starts: bool = True) -> None:
         """Go on after a pause, lost if the machine may have ``moved``; the references stay aligned."""
+        stood = not moved and speeds.stood_still(self.estimator.places, least=0)
         self.reference.restart(keep=True)
         if self.second is not None:
-            self.second.restart(keep=not moved)
+            self.second.restart(keep=True)
         self.estimator.resume()
         self._forget_sample()
+        self._stood = stood
         if moved:
             self.lose_after_pause(starts)
 
     def lose_after_pause(self, starts: bool) -> None:
         self.estimator.lose(LossCause.PAUSE, starts)
         self.reference.slipped()
+        if self.second is not None:
+            self.second.restart()
 
     def _forget_sample(self) -> None:
-        self._nothing_in_doubt = False
+        self._nothing_in_doubt = False  # the next sample may be a usual one
         self.last = self.place = None
-        self._sine = self._cosine = nan
-        self._speed, self.was_valid = 0.0, 0
+        self._sine = self._cosine = nan  # counts of the last sample
+        self._speed, self.was_valid = 0.0, 0  # of the last sample
+        self._stood = False  # before a pause, and no sample was taken since
         self._expect(0.0)
 
     # Samples.
@@ -270,6 +273,10 @@ class Stages:
         estimator, reference = self.estimator, self.reference
         estimator.timed = timed
         measured = not (faults or bad) and phase == phase
+        if measured and self._stood:  # this phase has to say that it did so since
+            self._stood = False
+            if self._tracker.look(phase).residual > speeds.MOVED_CYCLES:
+                self.lose_after_pause(starts=False)
         track, bits = estimator.good(phase, elapsed) if measured else estimator.bad(elapsed, missed=unplaced)
         if bits & LOST and (not measured or bits & RESIDUAL):
             reference.slipped()
