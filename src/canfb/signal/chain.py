@@ -58,7 +58,7 @@ class SignalChain:
     # What it is told between two samples.
 
     def set_limits(self, limits: ChainLimits) -> None:
-        """Take new limits, between two samples. Another encoder resets coarse track and zero pulse."""
+        """Take new limits. Another encoder resets coarse track and zero pulse."""
         if limits.samples_per_sync != self._per_sync:
             self.stages.sample_faster(limits.samples_per_sync / self._per_sync)
             self._per_sync = limits.samples_per_sync
@@ -67,7 +67,7 @@ class SignalChain:
         self._follow_unit()
 
     def activate(self, correction: Correction) -> None:
-        """Take another ``correction``, between two samples. TypeError for a bad table."""
+        """Take another ``correction``. TypeError for a bad table."""
         self.stages.activate(correction)
 
     def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
@@ -78,7 +78,7 @@ class SignalChain:
         self.stages.adapt(limits, start_from)
 
     def use_second(self, sensor: SecondSensor | None) -> None:
-        """Take another sensor from now on, or none; nothing is known of it. TypeError if it is not one."""
+        """Take another sensor, or none; nothing is known of it. TypeError if it is not one."""
         if sensor is not None and not isinstance(sensor, SecondSensor):
             raise TypeError(f"sensor must be a SecondSensor or None, not {type(sensor).__name__}")
         self.stages.use_second(sensor)
@@ -117,7 +117,7 @@ class SignalChain:
 
     @property
     def samples(self) -> int:
-        """The number of the last sample, 0 before the first one."""
+        """Number of the last sample, 0 before the first one."""
         return self.stages.samples
 
     @property
@@ -210,8 +210,8 @@ class SignalChain:
     def resume(self, intervals: float = 0.0) -> None:
         """Go on after a pause of ``intervals`` of SYNC in which the machine moved less than half a cycle.
 
-        The position is lost if at its speed the machine could have left the cycle meanwhile, or if it was in
-        doubt and not valid. A lost one starts again, at cycle count 0, if the machine stood when it was lost
+        The position is lost if at its speed the machine could have left the cycle meanwhile, if it stood and
+        its next phase is another one, or if it was in doubt and not valid. A lost one starts again, at cycle count 0, if the machine stood when it was lost
         and its phases did since; after :meth:`reset` unless the machine turned at it, or the position was
         lost and its phases had not stood for STILL_SAMPLES.
         """
