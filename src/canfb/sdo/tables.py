@@ -360,16 +360,8 @@ class TableTasks:
         """Back to the identity, the ``conditioning`` too."""
         before = read_active(self._module)
         new = Correction(None, IDENTITY if conditioning else before.conditioning)
-
-        def put() -> None:
-            declared = self._module.read_known(od.SUPERVISION_PHASE_ERROR)
-            if declared is not None:  # without a table a phase is no better than by default
-                self._module.write(
-                    *od.SUPERVISION_PHASE_ERROR, "H", max(declared, round(PHASE_ERROR_CYCLES * LIMIT_UNITS))
-                )
-            put_in_force(self._module, new)
-
-        result = self._result(self._in_force(before, new, keep, put), before, new)
+        done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
+        result = self._result(done, before, new)
         if not new.conditioning.is_identity:
             result.lines.append("the conditioning (2002h) stays in force; --conditioning clears it as well")
         return result
@@ -455,6 +447,10 @@ class TableTasks:
         declared = self._module.read_known(od.SUPERVISION_PHASE_ERROR)
 
         def act() -> None:
+            if declared is not None and new is not None and new.table is None:
+                # Without a table a phase is no better than by default.
+                least = round(PHASE_ERROR_CYCLES * LIMIT_UNITS)
+                self._module.write(*od.SUPERVISION_PHASE_ERROR, "H", max(declared, least))
             put()
             if new is not None and read_active(self._module).crc32 != new.crc32:
                 raise CommissioningError(f"{self._module.name}: another table is active than was written")
