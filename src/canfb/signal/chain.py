@@ -211,9 +211,9 @@ class SignalChain:
         """Go on after a pause of ``intervals`` of SYNC in which the machine moved less than half a cycle.
 
         The position is lost if at its speed the machine could have left the cycle meanwhile, if it stood and
-        its next phase is another one, or if it was in doubt and not valid. A lost one starts again, at cycle count 0, if the machine stood when it was lost
-        and its phases did since; after :meth:`reset` unless the machine turned at it, or the position was
-        lost and its phases had not stood for STILL_SAMPLES.
+        its next phase is another one, or if it was in doubt and not valid. A lost one starts again, at cycle
+        count 0, if the machine stood when it was lost and its phases did since; after :meth:`reset` unless
+        the machine turned at it, or the position was lost and its phases had not stood for STILL_SAMPLES.
         """
         goes_on = self._pauses.resume(intervals * self._per_sync)
         self._forget_times_of_samples(keep_interval=goes_on)
