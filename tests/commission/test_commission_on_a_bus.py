@@ -108,6 +108,7 @@ def test_it_judges_by_the_limits_that_the_module_has_in_force(
     assert motion == pytest.approx(2.0 * figures["acceleration_cycles"], rel=0.3)
     assert limits.residual_limit < 0.3, "narrowed"
     assert figures["sample_rate_hz"] == pytest.approx(1000.0 * config.get("samples_per_sync", 1), rel=1e-3)
+    assert figures["speed_most_rpm"] == pytest.approx(0.12 * figures["sample_rate_hz"], rel=0.02)
 
 
 def test_it_writes_watches_and_saves(capsys: pytest.CaptureFixture[str]) -> None:

@@ -178,7 +178,8 @@ class SpeedReadings:
             return False
         self._next_s = listening.elapsed_s + READINGS_EVERY_S
         before, speed = listening.intervals, self.read()
-        self.found.append(SpeedReading((before + listening.intervals) / 2.0, speed))
+        per_sync = 1 + len(listening.recorder.layout.earlier)
+        self.found.append(SpeedReading(per_sync * (before + listening.intervals) / 2.0, speed))
         return False
 
     def read(self) -> float:
