@@ -139,27 +139,28 @@ def test_named_nodes_that_are_not_there_are_shown_as_such() -> None:
     assert shown[5].heard_s is None
 
 
-def test_a_mapping_of_the_module_is_followed() -> None:
+@each("operating", [0, 1, 4])  # 6000h: forwards, backwards, scaled
+def test_a_mapping_of_the_module_is_followed(operating: int) -> None:
     """2011:05 and 2011:07 in a TPDO3 of another COB-ID: amplitude and velocity are those of the module."""
     network = MonitoredNetwork()
     dictionary = network.modules[0].dictionary
     for place, layout, value in (
-        ((0x1A02, 0), "B", 0),
-        ((0x1A02, 1), "I", od.FEEDBACK_AMPLITUDE.mapped(16)),
-        ((0x1A02, 2), "I", od.FEEDBACK_VELOCITY.mapped(32)),
-        ((0x1A02, 0), "B", 2),
-        ((0x1802, 2), "B", 254),
-        ((0x1802, 1), "I", 0x3F5),
-    ):
+        (od.OPERATING_PARAMETERS, "H", operating), (od.UNITS_PER_REVOLUTION, "I", 36_000),
+        ((0x1A02, 0), "B", 0), ((0x1A02, 1), "I", od.FEEDBACK_AMPLITUDE.mapped(16)),
+        ((0x1A02, 2), "I", od.FEEDBACK_VELOCITY.mapped(32)), ((0x1A02, 0), "B", 2),
+        ((0x1802, 2), "B", 254), ((0x1802, 1), "I", 0x3F5),
+    ):  # fmt: skip
         dictionary.entry(*place).download(struct.pack(f"<{layout}", value))
-
     network.model.learn(layout_of(NODE, reader_of(dictionary), Origin.MODULE))
     network.run(1.5)
     shown = network.module()
     assert 0x3F5 in {frame.can_id for frame, _ in network.frames}
     assert not shown.amplitude_is_raw
     assert shown.amplitude_counts == dictionary.entry(*od.FEEDBACK_AMPLITUDE).current()
-    assert shown.velocity_rad_s == pytest.approx(dictionary.entry(*od.FEEDBACK_VELOCITY).current(), rel=1e-6)
+    speed = dictionary.entry(*od.FEEDBACK_VELOCITY).current() * (-1.0 if operating == 1 else 1.0)
+    assert shown.velocity_rad_s == pytest.approx(speed, rel=1e-6)
+    units = 36_000 if operating == 4 else dictionary.entry(*od.SINGLE_TURN_RESOLUTION).current()
+    assert shown.position_revolutions == pytest.approx((shown.position_units or 0) / units)
     assert shown.layout == "module"
     assert shown.assumed == []
 
@@ -167,7 +168,6 @@ def test_a_mapping_of_the_module_is_followed() -> None:
 @pytest.mark.parametrize("missing", [None, *(place for places in NEEDED.values() for place in places)])
 def test_what_could_not_be_read_is_assumed(missing: od.Multiplexer | None) -> None:
     dictionary = MonitoredNetwork().modules[0].dictionary
-
     read = reader_of(dictionary, missing)
     layout = layout_of(NODE, read, Origin.MODULE)
     assert layout.assumed == {name for name, places in NEEDED.items() if missing in places}

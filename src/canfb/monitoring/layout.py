@@ -47,8 +47,8 @@ INPUTS: dict[Multiplexer, str] = {od.SAMPLE_SINE: "h", od.SAMPLE_COSINE: "h"}
 
 # Values of a snapshot that depend on settings of the module: assumed unless all of these were read.
 NEEDED: dict[str, tuple[Multiplexer, ...]] = {
-    "position_revolutions": (od.UNITS_PER_REVOLUTION,),
-    "velocity_rad_s": (od.UNITS_PER_REVOLUTION, od.TOTAL_RANGE),
+    "position_revolutions": (od.OPERATING_PARAMETERS, od.UNITS_PER_REVOLUTION),
+    "velocity_rad_s": (od.OPERATING_PARAMETERS, od.UNITS_PER_REVOLUTION, od.TOTAL_RANGE),
     "residual_limit_cycles": (
         od.ENCODER_CYCLES_PER_REVOLUTION,
         od.SUPERVISION_RESIDUAL_LIMIT,
@@ -58,6 +58,8 @@ NEEDED: dict[str, tuple[Multiplexer, ...]] = {
     "amplitude_limits_counts": (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE),
     "full_scale_counts": (od.ENCODER_FULL_SCALE,),
 }
+
+CODE_SEQUENCE, SCALING = 1 << 0, 1 << 2  # of 6000h
 
 
 class Origin(StrEnum):
@@ -82,6 +84,7 @@ class NodeLayout:
     """What must be known of a module to understand its frames.
 
     supervision         what the residual limit depends on
+    reversed            6004h falls where 2011:07 is positive (6000h)
     assumed             of :data:`NEEDED`, not read from the module
     """
 
@@ -94,6 +97,7 @@ class NodeLayout:
     cycles_per_revolution: int = 2500
     units_per_revolution: int = 0
     total_range: int = 0
+    reversed: bool = False
     full_scale_counts: int = 2048
     amplitude_low_counts: int = 0
     amplitude_high_counts: int = 0
@@ -118,6 +122,11 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
         value = read(place)
         return default if value is None else int(value)
 
+    operating = integer(od.OPERATING_PARAMETERS, 0)
+    per_turn, total = od.SINGLE_TURN_RESOLUTION, integer(od.DISTINGUISHABLE_REVOLUTIONS, 0)
+    total *= integer(per_turn, 0)
+    if operating & SCALING:
+        per_turn, total = od.UNITS_PER_REVOLUTION, integer(od.TOTAL_RANGE, 0)
     return NodeLayout(
         node_id,
         origin,
@@ -126,8 +135,9 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
         sync_id=integer(od.SYNC_COB_ID, cob.SYNC) & cob.CAN_ID,
         emcy_id=integer(od.EMCY_COB_ID, cob.EMERGENCY + node_id) & cob.CAN_ID,
         cycles_per_revolution=integer(od.ENCODER_CYCLES_PER_REVOLUTION, 2500),
-        units_per_revolution=integer(od.UNITS_PER_REVOLUTION, 0),
-        total_range=integer(od.TOTAL_RANGE, 0),
+        units_per_revolution=integer(per_turn, 0),
+        total_range=total,
+        reversed=bool(operating & CODE_SEQUENCE),
         full_scale_counts=integer(od.ENCODER_FULL_SCALE, 2048),
         amplitude_low_counts=integer(od.ENCODER_LOWEST_AMPLITUDE, 0),
         amplitude_high_counts=integer(od.ENCODER_HIGHEST_AMPLITUDE, 0),

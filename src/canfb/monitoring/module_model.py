@@ -232,7 +232,9 @@ class ModuleModel:
     def _measured_velocity(self, now: float) -> float | None:
         measured = self._values.get(od.FEEDBACK_VELOCITY)
         fresh = measured is not None and now - self._times[od.FEEDBACK_VELOCITY] <= FRESH_S
-        return float(measured) if measured is not None and fresh else None
+        if measured is None or not fresh:
+            return None
+        return -float(measured) if self.layout.reversed else float(measured)
 
     def _velocity_of_positions(self, now: float) -> float | None:
         if len(self._positions) < 2 or not self.layout.units_per_revolution:
