@@ -153,7 +153,11 @@ def swallow(bench: Bench) -> None:
     ("spoil", "code", "words"),
     [
         (swallow, 1, "not as written: 2010:03 is 3, not 9; the parameters"),
-        (lambda bench: interrupt(bench, 600), 130, "canfb: interrupted; the node is as it was\n"),
+        (
+            lambda bench: interrupt(bench, 600),
+            130,
+            "canfb: interrupted; a change that was not finished is undone\n",
+        ),
         (lambda bench: refuse_once(bench, (0x1801, 1)), 1, "writing 1801:01 is refused"),
     ],
 )

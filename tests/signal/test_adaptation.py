@@ -288,8 +288,7 @@ def test_the_conditioning_removes_what_the_drift_does(
 def test_the_bound_of_what_it_hides(parts: tuple[float, ...], ranges: tuple[float, float, float]) -> None:
     """Any drift within the ranges, right or wrong, moves a phase by no more than is stated."""
     limits = AdaptConfig(offset=ranges[0], gain=ranges[1], phase_rad=ranges[2])
-    largest = limits.offset, limits.offset, limits.gain, limits.phase_rad
-    drift = FollowedDrift(*(part * most for part, most in zip(parts, largest, strict=True)))
+    drift = FollowedDrift(*np.multiply(parts, (limits.offset, limits.offset, limits.gain, limits.phase_rad)))
     x = 2.0 * np.pi * np.arange(360) / 360
     circle = np.sin(x), np.cos(x)  # behind the adaptation: its amplitude is 1
     sine = drift.sine_offset_counts + (1.0 + drift.gain / 2.0) * circle[0]

@@ -86,15 +86,12 @@ def stand(machine: Machine) -> None:
 
 
 @given(moved=st.floats(-9.0, 9.0), declared=st.sampled_from([0.0, 0.1]), missed=st.integers(0, 2))
-def test_a_machine_that_stood_is_lost_if_its_phase_moved_in_a_pause(
-    moved: float, declared: float, missed: int
-) -> None:
+def test_what_stood_is_lost_if_its_phase_moved_in_a_pause(moved: float, declared: float, missed: int) -> None:
     machine, away = stopped(max_acceleration_cycles=declared), abs(math.remainder(moved, 1.0))
     assume(not 0.031 < away < 0.065)  # a raw phase moves by pi/4 to pi/2 of it
     for _ in range(missed):  # behind them it is valid at once, and the samples after it still decide
         machine.miss()
-    assert machine.step().valid
-    assert machine.chain.stages.estimator.in_doubt == (missed > 0)
+    assert (machine.step().valid, machine.chain.stages.estimator.in_doubt) == (True, missed > 0)
     machine.chain.resume(100_000.0)
     machine.position += moved  # somebody turns it
     counts = {(got.valid, got.cycles - math.floor(machine.position)) for got in machine.run(20)}

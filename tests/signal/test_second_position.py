@@ -195,10 +195,9 @@ def test_after_a_pause_the_offset_is_that_of_before(slip: float) -> None:
 
 @each("turned", [0.0, 5.3])
 def test_a_machine_that_turns_in_or_after_a_pause_did_not_stand_still(turned: float) -> None:
-    """Whoever turned it may have restarted the other sensor."""
     machine = standing(EXACT, FINE)
     machine.chain.resume(1000.0)
-    machine.position, machine.other = machine.position + turned, machine.other + turned % 3.0
+    machine.position, machine.other = machine.position + turned, machine.other + turned % 3.0  # restarted
     machine.speed = 0.0 if turned else 83.2
     got = machine.run(400)
     assert got[-1].status & LOST

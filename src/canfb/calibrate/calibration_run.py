@@ -330,7 +330,8 @@ def wait_for_speed(
         if passed_s > longest_s:
             raise CommissioningError(
                 f"the machine did not turn steadily at {listed(speeds_rpm)} rpm within {longest_s:g} s; it "
-                f"turns at {last[-1]:.4g} rpm: --wait, or other --speeds"
+                f"turns at {last[-1]:.4g} rpm, {min(last):.4g} to {max(last):.4g} lately: --wait, or other "
+                "--speeds; where the speed ripples for want of a table, canfb calibrate first"
             )
         progress(passed_s / longest_s)
         master.wait(EVERY_S)

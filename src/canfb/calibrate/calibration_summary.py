@@ -312,9 +312,10 @@ def verdict(measured: Measurement, where: Provenance) -> str:
         known = [one.before for one in over.errors if one.before is not None]
         falls = f", {PERCENT * max(known):.2g} % before" if len(known) == len(over.errors) else ""
         first, last = (speed_words(over.errors[n].hertz, where) for n in (0, -1))
+        between = "" if len(over.errors) > 2 else " Two speeds fit any analog path: a third one proves it."
         return (
             f"Accepted. The error within a cycle is at most {PERCENT * worst:.2g} % of a cycle rms{falls}, "
-            f"from {first} to {last}, on samples that were held out. {good}"
+            f"from {first} to {last}, on samples that were held out.{between} {good}"
         )
     factor = on_samples.before_rms / calibration.residual_rms if calibration.residual_rms > 0.0 else 0.0
     if factor > 1.5:

@@ -161,7 +161,7 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
     size, gain = np.sqrt(sine * cosine), np.log(cosine / sine)
     sigma = np.hypot(noise, AMPLITUDE_REPEATS)
     both = fit_low_pass(f, size, sigma)
-    per_hz = np.array([both.per_hz, both.per_hz])
+    per_hz, apart_sigma = np.array([both.per_hz, both.per_hz]), 0.0
     for _ in range(ROUNDS if both.is_detected else 0):
         pair, apart_sigma = _corners(f, gain, noise, both.per_hz)
         if abs(pair[1] - pair[0]) < APART_SIGMAS * apart_sigma:
@@ -192,7 +192,7 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
     corner, of_cosine = (1.0 / float(one) if one else 0.0 for one in per_hz)
     return PathFit(
         float(delay_s) if abs(delay_s) > DETECTED_SIGMAS * delay_sigma_s else 0.0,
-        delay_sigma_s,
+        math.hypot(delay_sigma_s, apart_sigma / (2.0 * math.pi)),  # corners that differ look like a delay
         Corners(corner, 0.0 if of_cosine == corner else of_cosine),
         replace(both, per_hz=float(per_hz[0])),
     )

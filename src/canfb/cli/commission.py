@@ -91,7 +91,7 @@ def commission(options: argparse.Namespace) -> int:
     if wishes.out:
         prepare_folder(wishes.out)
     nodes_of_choices(options, config)  # says what cannot be before there is a bus
-    as_before = "the limits of the module are as they were"
+    as_before = "limits that were not proven are as they were"
     with (
         shown_progress(quiet=options.json, interrupted=as_before) as progress,
         sync_master(options, config) as (master, guard),

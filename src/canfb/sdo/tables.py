@@ -335,7 +335,7 @@ class TableTasks:
             raise CommissioningError(
                 f"{file.path}: it has no table; canfb table clear goes back to the identity"
             )
-        new = file.for_module(before.conditioning)
+        new, notes = file.for_module(before.conditioning), self._other_settings(file)
         if active:
             self._check_amplitude(before.conditioning, new.conditioning, force)
             done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
@@ -343,7 +343,7 @@ class TableTasks:
             done = self._staged(new, table)
         stays = "" if file.with_conditioning else "; it knows no conditioning, that of the module stays"
         head = f"{file.path}: {table.crc32:08X}h, {len(table)} entries{stays}"
-        return self._result(done, before, new, [head], self._other_settings(file))
+        return self._result(done, before, new, [head], notes)
 
     def activate(self, *, keep: bool, force: bool = False) -> Result:
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
