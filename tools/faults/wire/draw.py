@@ -110,7 +110,7 @@ def torque(plan: Plan) -> None:
         plan.motion.push(begin, plan.end, size)
     else:
         frequency = min(float(rng.uniform(10.0, 200.0)) * plan.options.interval_s, 0.2)
-        plan.motion.vibrations.append((begin - 20.0, size, frequency, plan.end))
+        plan.motion.vibrations.append((begin - 20.0, size, frequency, plan.end + AFTER))
 
 
 def draw_servo(setup: Setup, rng: np.random.Generator, after: int) -> Plan:
