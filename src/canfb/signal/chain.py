@@ -117,7 +117,7 @@ class SignalChain:
 
     @property
     def samples(self) -> int:
-        """Number of the last sample, 0 before the first one."""
+        """Number of the last sample, 0 before the first."""
         return self.stages.samples
 
     @property

@@ -59,7 +59,8 @@ class Pauses:
         if estimator.lost or self.turned:
             self._start_again(intervals)
             return False
-        stages.resume((estimator.in_doubt and not stages.was_valid) or self._could_move(intervals))
+        lost = estimator.in_doubt and not stages.was_valid
+        stages.resume(*((inf, 0.0) if lost else self._way(intervals)))
         return True
 
     def _start_again(self, intervals: float) -> None:
@@ -70,7 +71,7 @@ class Pauses:
         stages, estimator = self._stages, self._stages.estimator
         if estimator.lost and not estimator.still.stays:
             # Samples of whole cycles per interval equal those of a machine at rest, however many.
-            stages.resume(moved=True, starts=False)
+            stages.resume(inf, starts=False)
             return
         declared = estimator.declared
         acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
@@ -81,20 +82,22 @@ class Pauses:
         if waits:
             stages.lose_after_pause(starts=True)
 
-    def _could_move(self, intervals: float) -> bool:
-        """At the last speeds the machine leaves its cycle within ``intervals``.
+    def _way(self, intervals: float) -> tuple[float, float]:
+        """The way up to the sample after ``intervals``, cycles, and how far from that it may be.
 
-        Or it is half a cycle away, or faster than half a cycle per interval, at the sample after them:
-        eq. 9 starts again from standstill. It may accelerate as it did, and as declared.
+        inf: it leaves its cycle, or is half a cycle away or faster at that sample: eq. 9 starts from
+        standstill. It may accelerate as it did, and as declared.
         """
         estimator = self._stages.estimator
         places = estimator.places
         speed, step = speeds.steady_speed(places), abs(estimator.tracker.step_cycles)
         if step >= FASTEST_STANDSTILL_CYCLES:
-            return True
+            return inf, 0.0
         if speeds.stood_still(places, least=0):
-            return False
-        acceleration = max(abs(speeds.acceleration(places)), estimator.declared.acceleration or 0.0)
-        until = intervals + 1.0
-        away = max(step, abs(speed)) * until + acceleration * until * max(1.0, until / 2.0)
-        return abs(speed) * intervals > LARGEST_SLIP_CYCLES or not away < FASTEST_STANDSTILL_CYCLES
+            return 0.0, 0.0
+        declared, until = estimator.declared.acceleration or 0.0, intervals + 1.0
+        longest = until * max(1.0, until / 2.0)
+        away = max(step, abs(speed)) * until + max(abs(speeds.acceleration(places)), declared) * longest
+        if abs(speed) * intervals > LARGEST_SLIP_CYCLES or not away < FASTEST_STANDSTILL_CYCLES:
+            return inf, 0.0
+        return speed * until, declared * longest

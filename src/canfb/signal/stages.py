@@ -5,7 +5,7 @@ A usual sample is in turn, within all limits, nothing in doubt; :meth:`Stages._r
 
 from __future__ import annotations
 
-from math import hypot, nan, sqrt, tau
+from math import hypot, inf, nan, sqrt, tau
 from typing import NamedTuple
 
 from canfb.objects import LossCause
@@ -76,6 +76,7 @@ class Stages:
 
     last: Feedback | None
     place: Track | Feedback | None
+    _way: tuple[float, float] | None
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None) -> None:
         check_config(config)
@@ -123,6 +124,7 @@ class Stages:
 
     def activate(self, correction: Correction) -> None:
         self.tracks.activate(correction)
+        self._activated = self.samples  # up to here phases were others
         self._base_status = 0 if correction.table is None else TABLE_ACTIVE
         self._tracks_changed()
 
@@ -161,17 +163,19 @@ class Stages:
         self._speed = float(speed_cycles)
         self._expect(self._speed)
 
-    def resume(self, moved: bool, starts: bool = True) -> None:
-        """Go on after a pause, lost if the machine may have ``moved``; the references stay aligned."""
-        stood = not moved and speeds.stood_still(self.estimator.places, least=0)
+    def resume(self, way_cycles: float, spread_cycles: float = 0.0, starts: bool = True) -> None:
+        """Go on after a pause in which the machine stopped or went ``way_cycles``; lost at inf."""
+        # Where tables were exchanged meanwhile, the next phase shows nothing.
+        shows = self._tracker.started and self._activated < self.samples
         self.reference.restart(keep=True)
         if self.second is not None:
             self.second.restart(keep=True)
         self.estimator.resume()
         self._forget_sample()
-        self._stood = stood
-        if moved:
+        if way_cycles == inf:
             self.lose_after_pause(starts)
+        elif shows:
+            self._way = way_cycles / 2.0, abs(way_cycles) / 2.0 + spread_cycles + speeds.MOVED_CYCLES
 
     def lose_after_pause(self, starts: bool) -> None:
         self.estimator.lose(LossCause.PAUSE, starts)
@@ -184,7 +188,8 @@ class Stages:
         self.last = self.place = None
         self._sine = self._cosine = nan  # counts of the last sample
         self._speed, self.was_valid = 0.0, 0  # of the last sample
-        self._stood = False  # before a pause, and no sample was taken since
+        # Of the next phase after a pause, and how far it may be from that.
+        self._way = None
         self._expect(0.0)
 
     # Samples.
@@ -273,9 +278,10 @@ class Stages:
         estimator, reference = self.estimator, self.reference
         estimator.timed = timed
         measured = not (faults or bad) and phase == phase
-        if measured and self._stood:  # this phase has to say that it did so since
-            self._stood = False
-            if self._tracker.look(phase).residual > speeds.MOVED_CYCLES:
+        if measured and self._way is not None:
+            (way, most), self._way = self._way, None
+            moved = (phase - self._tracker.places[1].phase + 0.5) % 1.0 - 0.5
+            if abs(moved - way) > most:  # it has neither stopped nor gone on
                 self.lose_after_pause(starts=False)
         track, bits = estimator.good(phase, elapsed) if measured else estimator.bad(elapsed, missed=unplaced)
         if bits & LOST and (not measured or bits & RESIDUAL):
