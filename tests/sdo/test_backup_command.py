@@ -153,11 +153,7 @@ def swallow(bench: Bench) -> None:
     ("spoil", "code", "words"),
     [
         (swallow, 1, "not as written: 2010:03 is 3, not 9; the parameters"),
-        (
-            lambda bench: interrupt(bench, 600),
-            130,
-            "canfb: interrupted; a change that was not finished is undone\n",
-        ),
+        (lambda bench: interrupt(bench, 600), 130, "canfb: interrupted; an unfinished change is undone\n"),
         (lambda bench: refuse_once(bench, (0x1801, 1)), 1, "writing 1801:01 is refused"),
     ],
 )
@@ -181,12 +177,14 @@ def test_a_machine_that_runs_is_left_alone(canfb: Commands, file: Path) -> None:
     _, err = canfb(bench, "backup", "restore", file, code=1)
     assert "module 32 (20h) is in OPERATIONAL: a restore switches its PDOs off meanwhile" in err
     assert "give --preop (or canfb node preop 0x20)" in err
-    assert values(bench) == before
-    assert bench.module.state is NmtState.OPERATIONAL
-    out, _ = canfb(bench, "backup", "restore", file, "--preop")
-    assert "note: the node is in PRE-OPERATIONAL: canfb node start 0x20" in out
-    assert bench.module.state is NmtState.PRE_OPERATIONAL
-    assert values(bench)[0x2010, 3] == 9
+    bench.access.write(0x2040, 3, "I", 7)
+    bench.access.write(0x2040, 1, "B", 2)
+    assert "is locked (2040h)" in canfb(bench, "backup", "restore", file, "--preop", code=1)[1]
+    assert (values(bench), bench.module.state) == (before, NmtState.OPERATIONAL)
+    bench.access.write(0x2040, 2, "I", 7)
+    said = "note: the node is in PRE-OPERATIONAL: canfb node start 0x20"
+    assert said in canfb(bench, "backup", "restore", file, "--preop")[0]
+    assert (bench.module.state, values(bench)[0x2010, 3]) == (NmtState.PRE_OPERATIONAL, 9)
 
 
 def edit(file: Path, old: str, new: str) -> int:

@@ -210,7 +210,7 @@ def test_an_interruption_puts_back_what_was(canfb: Commands, file: Path) -> None
     bench = bench_with(OLD)
     interrupt(bench, 30)
     _, err = canfb(bench, "table", "write", NODE, file, "--activate", code=130)
-    assert err == "canfb: interrupted; a change that was not finished is undone\n"
+    assert err == "canfb: interrupted; an unfinished change is undone\n"
     assert in_force(bench) == OLD
 
 

@@ -50,7 +50,7 @@ def sync_master(options: argparse.Namespace, config: Config) -> Iterator[tuple[B
 @contextlib.contextmanager
 def guarded() -> Iterator[Guard]:
     """For what changes a node: a signal puts back what was."""
-    guard, as_before = Guard(), "a change that was not finished is undone"
+    guard, as_before = Guard(), "an unfinished change is undone"
     with shown_progress(quiet=True, interrupted=as_before), ending_on_signals(guard.interrupt):
         yield guard
 

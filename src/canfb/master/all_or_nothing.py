@@ -203,6 +203,8 @@ def change(
     A failure, an interruption or a restart of the module writes ``what`` was ``back``, uninterrupted, and
     saves it again where saving had begun; the CommissioningError says so (``undone``), or that it failed.
     """
+    with guard.held():
+        check_unlocked(module)  # a lock would refuse the undo as well
     saving = False
 
     def undo() -> str:

@@ -20,7 +20,7 @@ from canfb.device.od.dcf import Write
 from canfb.files import read_bytes
 from canfb.marked_yaml import MarkedYaml
 from canfb.master.access import CommissioningError, NodeAccess, nmt_state
-from canfb.master.all_or_nothing import Guard, change, check_can_save
+from canfb.master.all_or_nothing import Guard, change, check_can_save, check_unlocked
 from canfb.rows import Result, those
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, listed, numbered
 from canfb.sdo.sdo_tasks import check_value, short_real
@@ -266,6 +266,8 @@ def restore_backup(
     saved_as = None
     if not dry_run:
         if changes:
+            if module.read_known(od.WRITE_LOCK_MODE) == od.WriteLockMode.CODE:
+                check_unlocked(module)  # before the machine loses its samples
             _leave_operational(module, preop)
         saved_as = change(
             module,
