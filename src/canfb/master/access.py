@@ -21,6 +21,7 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, NmtCommand, NmtState
 from canfb.errors import CanfbError
+from canfb.signal.speeds import apart
 
 # :class:`canfb.bus.sdo_channel.SharedClient`: canopen's client, with its turn and what disturbed it.
 Client = Any
@@ -376,8 +377,7 @@ def watch_standstill(module: NodeAccess) -> MachineLook:
         if not status & od.StatusBit.MISSED:
             seen.add(number)
             first = phase if first is None else first
-            apart = (phase - first + 0.5) % 1.0 - 0.5
-            low, high = min(low, apart), max(high, apart)
+            low, high = min(low, apart(phase, first)), max(high, apart(phase, first))
         master.wait(STEP_S)
     if len(seen) < LEAST_SAMPLES:
         raise CommissioningError(

@@ -29,6 +29,7 @@ from canfb.signal.bounded_motion import (
     Spot,
     Window,
 )
+from canfb.signal.speeds import apart
 
 FALSE_ACCEPTANCE = 1e-5  # probability per decision that random phases pass for a machine
 MOST_CANDIDATES = 256
@@ -154,10 +155,6 @@ def _noted(residuals: tuple[int, float, float], window: Window, position: float)
     number, least, most = residuals
     residual = position - window.base - (window.low + window.high) / 2.0
     return number + 1, min(least, residual), max(most, residual)
-
-
-def _apart(phase: float, other: float) -> float:
-    return abs((phase - other + 0.5) % 1.0 - 0.5)
 
 
 def merged(candidates: Iterable[Candidate]) -> list[Candidate] | None:
@@ -313,9 +310,9 @@ class Doubt:
             return False
         band = 2.0 * self.motion.phase_error  # in which the phases of a machine that stands are
         phase = one.last.phase
-        if any(_apart(spot.phase, phase) > band for spot in one.run_spots):
+        if any(abs(apart(spot.phase, phase)) > band for spot in one.run_spots):
             return True
-        stood = sum(_apart(spot.phase, phase) <= band for spot in self._first_spots)
+        stood = sum(abs(apart(spot.phase, phase)) <= band for spot in self._first_spots)
         return stood >= ORDER
 
     def _is_jump(self, one: Candidate) -> bool:

@@ -59,8 +59,7 @@ class Pauses:
         if estimator.lost or self.turned:
             self._start_again(intervals)
             return False
-        lost = estimator.in_doubt and not stages.was_valid
-        stages.resume(*((inf, 0.0) if lost else self._way(intervals)))
+        stages.resume(*self._way(intervals))
         return True
 
     def _start_again(self, intervals: float) -> None:
@@ -83,15 +82,15 @@ class Pauses:
             stages.lose_after_pause(starts=True)
 
     def _way(self, intervals: float) -> tuple[float, float]:
-        """The way up to the sample after ``intervals``, cycles, and how far from that it may be.
+        """The way to the sample after ``intervals``, cycles, and how far from that it may be.
 
-        inf: it leaves its cycle, or is half a cycle away or faster at that sample: eq. 9 starts from
+        inf: in doubt, or it leaves its cycle, or is half a cycle away or faster then: eq. 9 starts from
         standstill. It may accelerate as it did, and as declared.
         """
         estimator = self._stages.estimator
         places = estimator.places
         speed, step = speeds.steady_speed(places), abs(estimator.tracker.step_cycles)
-        if step >= FASTEST_STANDSTILL_CYCLES:
+        if step >= FASTEST_STANDSTILL_CYCLES or (estimator.in_doubt and not self._stages.was_valid):
             return inf, 0.0
         if speeds.stood_still(places, least=0):
             return 0.0, 0.0

@@ -18,6 +18,10 @@ STEADY_SAMPLES = 16  # show whether the machine stands still
 Place = tuple[int, float, float]  # cycle count, phase, intervals since the one before
 
 
+def apart(phase: float, other: float) -> float:
+    return (phase - other + 0.5) % 1.0 - 0.5  # the nearest way between them
+
+
 def acceleration(places: Sequence[Place]) -> float:
     """Between the last three places, cycles per interval squared; 0 with fewer."""
     if len(places) < 3:
@@ -68,8 +72,7 @@ class StillPhase:
 
     def take(self, phase: float) -> None:
         """The next sample; ``phase`` 0..1, cycles."""
-        apart = (phase - self._phase + 0.5) % 1.0 - 0.5
-        if self.samples and abs(apart) <= STILL_CYCLES:
+        if self.samples and abs(apart(phase, self._phase)) <= STILL_CYCLES:
             self.samples += 1
         else:
             self.samples, self._phase, self.stays = 1, phase, False

@@ -179,7 +179,6 @@ class Stages:
 
     def lose_after_pause(self, starts: bool) -> None:
         self.estimator.lose(LossCause.PAUSE, starts)
-        self.reference.slipped()
         if self.second is not None:
             self.second.restart()
 
@@ -280,8 +279,8 @@ class Stages:
         measured = not (faults or bad) and phase == phase
         if measured and self._way is not None:
             (way, most), self._way = self._way, None
-            moved = (phase - self._tracker.places[1].phase + 0.5) % 1.0 - 0.5
-            if abs(moved - way) > most:  # it has neither stopped nor gone on
+            # It has neither stopped nor gone on.
+            if abs(speeds.apart(phase, self._tracker.places[1].phase) - way) > most:
                 self.lose_after_pause(starts=False)
         track, bits = estimator.good(phase, elapsed) if measured else estimator.bad(elapsed, missed=unplaced)
         if bits & LOST and (not measured or bits & RESIDUAL):
@@ -317,7 +316,6 @@ class Stages:
 
     def lose(self) -> Feedback:
         self.estimator.lose(LossCause.TIME)
-        self.reference.slipped()
         return self._feedback((nan, nan, 0.0, nan), self._tracker.predict(0.0), LOST, 0)
 
     def _feedback(
