@@ -18,6 +18,7 @@ from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.objects import SCALING
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Feedback, Sample
@@ -266,7 +267,6 @@ FAULTS: dict[int, tuple[str, Fault]] = {
     45: ("sine track clipped", lambda sample: Sample(2047, sample.cosine)),
     LOST_SAMPLE: ("sample lost", lambda sample: None),
 }
-SCALING_ON = 1 << 2
 INVALID = 1 << 31
 MIN_IMPROVEMENT = 50.0
 MAX_ERROR_AFTER = 5e-4  # cycles, noise of a single 12-bit sample included
@@ -307,7 +307,7 @@ def _start_network(network: DemoNetwork, story: Story) -> None:
     sdo[0x1400][1].raw = adc_cob_id
     sdo[0x1801][1].raw = INVALID | sdo[0x1801][1].raw
     sdo[0x6001].raw = sdo[0x6002].raw = UNITS_PER_REVOLUTION
-    sdo[0x6000].raw = SCALING_ON
+    sdo[0x6000].raw = SCALING
     sdo[0x1006].raw = round(SYNC_PERIOD_S * 1e6)
     story.checks["RPDO linked by SDO"] = sdo[0x1400][1].raw == adc_cob_id
     network.master.nmt.state = "OPERATIONAL"

@@ -13,8 +13,6 @@ from canfb.signal.sample import Feedback
 PHASE_UNITS = 1 << 32  # 2011:03 counts the phase in 1/2^32 cycle
 PHASE_SCALE = float(PHASE_UNITS)
 MAX_UNITS_PER_CYCLE = 8192  # 1/5800 cycle is what a 12-bit converter resolves
-CODE_SEQUENCE = 1 << 0  # 6000h: set = position falls when the machine turns clockwise
-SCALING = 1 << 2  # 6000h: 6001h and 6002h are used
 U32 = 0xFFFFFFFF
 
 

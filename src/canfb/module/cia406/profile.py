@@ -13,8 +13,6 @@ from canfb.device.storage.kept import ParameterGroup, Record
 from canfb.device.storage.storage import Storage
 from canfb.module.cia406.cams import Cams, show_work_area
 from canfb.module.cia406.position import (
-    CODE_SEQUENCE,
-    SCALING,
     PositionScale,
     distinguishable_revolutions,
     show_motion,
@@ -120,7 +118,7 @@ class EncoderProfile:
         for preset in self._presets:
             preset.on_written = partial(self._preset, preset)
         entry(0x600C).on_read = self._raw_position
-        self._operating.on_check = refuse_if(lambda value: value & ~(CODE_SEQUENCE | SCALING))
+        self._operating.on_check = refuse_if(lambda value: value & ~(od.CODE_SEQUENCE | od.SCALING))
         for changed in (self._operating, self._units_per_rev, self._range):
             changed.on_written = self.rescale
         self._module_range = entry(0x650A, 2), entry(0x650A, 3)
@@ -137,12 +135,12 @@ class EncoderProfile:
         cycles = self._cycles_per_revolution.value
         self._resolution.value = resolution = single_turn_resolution(cycles)
         self._revolutions.value = revolutions = distinguishable_revolutions(resolution)
-        scaling = self._operating.value & SCALING
+        scaling = self._operating.value & od.SCALING
         self.scale = PositionScale(
             cycles,
             self._units_per_rev.value if scaling else resolution,
             self._range.value if scaling else resolution * revolutions,
-            bool(self._operating.value & CODE_SEQUENCE),
+            bool(self._operating.value & od.CODE_SEQUENCE),
             self._offset.value,
         )
         self._raw_scale = PositionScale(cycles, resolution, resolution * revolutions, False, 0)
