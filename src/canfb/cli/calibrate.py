@@ -33,6 +33,7 @@ from canfb.cli.options import (
     Commands,
     add_bus_options,
     add_command,
+    between,
     group,
     named_config,
     option,
@@ -83,14 +84,14 @@ def register(commands: Commands) -> None:
             option(
                 "--seconds",
                 type=float,
-                within=(0.1, 3600.0, "0.1 to 3600"),
+                within=between(0.1, 3600.0),
                 metavar="S",
                 help="duration of the measurement (20; 4 for a recording, 10 for a speed)",
             ),
             option(
                 "--least-samples",
                 type=int,
-                within=(0, 10_000_000, "0 to 10000000"),
+                within=between(0, 10_000_000),
                 default=LEAST_SAMPLES,
                 metavar="N",
                 help=f"minimum number of samples; measure up to six times longer for it ({LEAST_SAMPLES})",
@@ -98,7 +99,7 @@ def register(commands: Commands) -> None:
             option(
                 "--verify",
                 type=float,
-                within=(0.1, 600.0, "0.1 to 600"),
+                within=between(0.1, 600.0),
                 metavar="S",
                 help="duration of the verification (4; 1 for a recording)",
             ),
@@ -111,7 +112,7 @@ def register(commands: Commands) -> None:
             option(
                 "--entries",
                 type=int,
-                within=(16, 4096, "16 to 4096"),
+                within=between(16, 4096),
                 default=1024,
                 metavar="N",
                 help="length of the table (1024)",
@@ -119,14 +120,14 @@ def register(commands: Commands) -> None:
             option(
                 "--adc-bits",
                 type=int,
-                within=(4, 16, "4 to 16"),
+                within=between(4, 16),
                 metavar="N",
                 help="bits of the converter (from 2001:02)",
             ),
             option(
                 "--sample-rate",
                 type=float,
-                within=(0.1, 1e7, "0.1 to 10000000"),
+                within=between(0.1, 1e7),
                 metavar="HZ",
                 help="samples per second, if not known otherwise",
             ),
@@ -150,7 +151,7 @@ def register(commands: Commands) -> None:
             option(
                 "--wait",
                 type=float,
-                within=(1.0, 86400.0, "1 to 86400"),
+                within=between(1.0, 86400.0),
                 default=120.0,
                 metavar="S",
                 help="how long to wait for the machine to turn at the next speed (120)",
@@ -169,7 +170,7 @@ def register(commands: Commands) -> None:
             option(
                 "--cycles-per-revolution",
                 type=int,
-                within=(1, 1 << 20, "1 to 1048576"),
+                within=between(1, 1 << 20),
                 metavar="N",
                 help="also give errors as angles of the shaft",
             ),

@@ -16,6 +16,7 @@ from canfb.cli.options import (
     Commands,
     add_bus_options,
     add_command,
+    between,
     named_config,
     option,
 )
@@ -41,7 +42,7 @@ def register(commands: Commands) -> None:
         option(
             "--seconds",
             type=float,
-            within=(0.1, 3600.0, "0.1 to 3600"),
+            within=between(0.1, 3600.0),
             default=60.0,
             metavar="S",
             help="how long to listen to the machine (60)",
@@ -49,7 +50,7 @@ def register(commands: Commands) -> None:
         option(
             "--margin",
             type=float,
-            within=(1.2, 10.0, "1.2 to 10"),
+            within=between(1.2, 10.0),
             default=2.0,
             metavar="X",
             help="safety factor (2)",
@@ -57,7 +58,7 @@ def register(commands: Commands) -> None:
         option(
             "--acceleration",
             type=float,
-            within=(0.0, 1e9, "0 to 1e+09"),
+            within=between(0.0, 1e9),
             default=0.0,
             metavar="RAD_S2",
             help="an acceleration that the machine can do and may not show now, as an emergency stop",
@@ -65,7 +66,7 @@ def register(commands: Commands) -> None:
         option(
             "--watch",
             type=float,
-            within=(0.1, 3600.0, "0.1 to 3600"),
+            within=between(0.1, 3600.0),
             default=10.0,
             dest="watch_s",
             metavar="S",

@@ -25,7 +25,13 @@ Row = Callable[[Any], object]  # Adds to a parser, or to a group of one.
 # These options go with another one (True) or without it (False), and why.
 Idle = tuple[Sequence[str], str, bool, str]
 Within = tuple[float, float, str]  # Of a number: the smallest and the largest, and both in words.
-PORTS = 0, 65535, "0 to 65535"
+
+
+def between(low: float, high: float, unit: str = "") -> Within:
+    return low, high, f"{low:g} to {high:.9g}{unit}"
+
+
+PORTS = between(0, 65535)
 BUS_WORDS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 BUS_METAVARS = {"interface": "NAME", "bitrate": "BIT/S", "data_bitrate": "BIT/S", "channel": "CHANNEL"}
 ARGUMENTS = {"config": "CONFIG.yaml", "nodes": "NODE"}  # the rest are options
@@ -93,7 +99,7 @@ JSON = option("--json", action="store_true", help="the result, for programs")
 TIMEOUT = option(
     "--timeout",
     type=float,
-    within=(0.01, 60.0, "0.01 to 60"),
+    within=between(0.01, 60.0),
     default=1.0,
     metavar="S",
     help="time for an SDO answer (1)",
@@ -307,7 +313,7 @@ MEASURED_NODES = (
     option(
         "--encoder-interface",
         type=whole_number,
-        within=(1, 127, "1 to 127"),
+        within=between(1, 127),
         metavar="ID",
         help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
     ),
@@ -315,7 +321,7 @@ MEASURED_NODES = (
 RATE = option(
     "--rate",
     type=float,
-    within=(0.1, 1e5, "0.1 to 100000"),
+    within=between(0.1, 1e5),
     metavar="HZ",
     help="produce the SYNC, on a bus without one",
 )

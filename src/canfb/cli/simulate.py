@@ -16,6 +16,7 @@ from canfb.cli.options import (
     Commands,
     add_bus_options,
     add_command,
+    between,
     bus_options,
     chosen_module,
     group,
@@ -49,7 +50,7 @@ def register(commands: Commands) -> None:
         option(
             "--rate",
             type=float,
-            within=(0.1, 100_000, "0.1 to 100000 Hz"),
+            within=between(0.1, 100_000, " Hz"),
             metavar="HZ",
             help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
         ),

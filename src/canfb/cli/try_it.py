@@ -14,7 +14,17 @@ from canfb.bus.clocks import page_date
 from canfb.bus.opening import describe, group_port
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.commands import build_parser
-from canfb.cli.options import JITTER, PORTS, READY_FILE, Commands, add_command, group, jittered, option
+from canfb.cli.options import (
+    JITTER,
+    PORTS,
+    READY_FILE,
+    Commands,
+    add_command,
+    between,
+    group,
+    jittered,
+    option,
+)
 from canfb.cli.printing import PRINTING, Progress, say
 from canfb.configuration import load_config
 from canfb.files import prepare_folder, write_whole
@@ -24,7 +34,7 @@ from canfb.hosting.trying import START_ALL, NetworkOnBus, end_main, private_bus
 from canfb.rows import those
 
 # Below, the machine of the example accelerates too much from SYNC to SYNC.
-RATES = 50.0, 1000.0, "50 to 1000 Hz"
+RATES = between(50.0, 1000.0, " Hz")
 OF_THE_NETWORK = ("rate", "jitter", "no_page", "port", "ready_file", "write_config")
 
 
