@@ -435,6 +435,13 @@ class RecordingCommand(IntEnum):
     STOP = 2
 
 
+class OperatingParameter(IntFlag):
+    """6000h."""
+
+    CODE_SEQUENCE = 1 << 0  # the position falls when the machine turns clockwise
+    SCALING = 1 << 2  # 6001h and 6002h are used
+
+
 # Encoder profile, CiA 406.
 (
     OPERATING_PARAMETERS,
@@ -443,8 +450,6 @@ class RecordingCommand(IntEnum):
     PRESET_VALUE,
     POSITION_VALUE,
 ) = map(Multiplexer, range(0x6000, 0x6005))
-CODE_SEQUENCE: Final = 1 << 0  # 6000h: set = position falls when the machine turns clockwise
-SCALING: Final = 1 << 2  # 6000h: 6001h and 6002h are used
 HIGH_PRECISION_POSITION: Final = Multiplexer(0x6008)
 HIGH_PRECISION_PRESET: Final = Multiplexer(0x6009)
 SINGLE_TURN_RESOLUTION: Final = Multiplexer(0x6501)

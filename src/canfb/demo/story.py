@@ -18,7 +18,7 @@ from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.objects import SCALING
+from canfb.objects import OperatingParameter
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Feedback, Sample
@@ -307,7 +307,7 @@ def _start_network(network: DemoNetwork, story: Story) -> None:
     sdo[0x1400][1].raw = adc_cob_id
     sdo[0x1801][1].raw = INVALID | sdo[0x1801][1].raw
     sdo[0x6001].raw = sdo[0x6002].raw = UNITS_PER_REVOLUTION
-    sdo[0x6000].raw = SCALING
+    sdo[0x6000].raw = OperatingParameter.SCALING
     sdo[0x1006].raw = round(SYNC_PERIOD_S * 1e6)
     story.checks["RPDO linked by SDO"] = sdo[0x1400][1].raw == adc_cob_id
     network.master.nmt.state = "OPERATIONAL"

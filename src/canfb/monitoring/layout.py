@@ -123,7 +123,7 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
     operating = integer(od.OPERATING_PARAMETERS, 0)
     per_turn, total = od.SINGLE_TURN_RESOLUTION, integer(od.DISTINGUISHABLE_REVOLUTIONS, 0)
     total *= integer(per_turn, 0)
-    if operating & od.SCALING:
+    if operating & od.OperatingParameter.SCALING:
         per_turn, total = od.UNITS_PER_REVOLUTION, integer(od.TOTAL_RANGE, 0)
     return NodeLayout(
         node_id,
@@ -135,7 +135,7 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
         cycles_per_revolution=integer(od.ENCODER_CYCLES_PER_REVOLUTION, 2500),
         units_per_revolution=integer(per_turn, 0),
         total_range=total,
-        reversed=bool(operating & od.CODE_SEQUENCE),
+        reversed=bool(operating & od.OperatingParameter.CODE_SEQUENCE),
         full_scale_counts=integer(od.ENCODER_FULL_SCALE, 2048),
         amplitude_low_counts=integer(od.ENCODER_LOWEST_AMPLITUDE, 0),
         amplitude_high_counts=integer(od.ENCODER_HIGHEST_AMPLITUDE, 0),

@@ -84,7 +84,7 @@ class Pauses:
     def _way(self, intervals: float) -> tuple[float, float]:
         """The way to the sample after ``intervals``, cycles, and how far from that it may be.
 
-        inf: in doubt, or it leaves its cycle, or is half a cycle away or faster then: eq. 9 starts from
+        inf: in doubt, it leaves its cycle, or is half a cycle away or faster then: eq. 9 starts from
         standstill. It may accelerate as it did, and as declared.
         """
         estimator = self._stages.estimator

@@ -118,7 +118,9 @@ class EncoderProfile:
         for preset in self._presets:
             preset.on_written = partial(self._preset, preset)
         entry(0x600C).on_read = self._raw_position
-        self._operating.on_check = refuse_if(lambda value: value & ~(od.CODE_SEQUENCE | od.SCALING))
+        self._operating.on_check = refuse_if(
+            lambda value: value & ~int(od.OperatingParameter.CODE_SEQUENCE | od.OperatingParameter.SCALING)
+        )
         for changed in (self._operating, self._units_per_rev, self._range):
             changed.on_written = self.rescale
         self._module_range = entry(0x650A, 2), entry(0x650A, 3)
@@ -135,12 +137,12 @@ class EncoderProfile:
         cycles = self._cycles_per_revolution.value
         self._resolution.value = resolution = single_turn_resolution(cycles)
         self._revolutions.value = revolutions = distinguishable_revolutions(resolution)
-        scaling = self._operating.value & od.SCALING
+        scaling = self._operating.value & od.OperatingParameter.SCALING
         self.scale = PositionScale(
             cycles,
             self._units_per_rev.value if scaling else resolution,
             self._range.value if scaling else resolution * revolutions,
-            bool(self._operating.value & od.CODE_SEQUENCE),
+            bool(self._operating.value & od.OperatingParameter.CODE_SEQUENCE),
             self._offset.value,
         )
         self._raw_scale = PositionScale(cycles, resolution, resolution * revolutions, False, 0)
