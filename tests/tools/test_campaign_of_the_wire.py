@@ -33,7 +33,7 @@ FOUND = (  # each was valid and wrong
     "stall of all, TPDO 1:times+counter/rx:1920002000003", "stamp, one bad, TPDO 1:servo/rx:1920002000020",
     "RPDO2 lost, SYNC lost:plain/rx:1910002000000", "RPDO2 lost, SYNC lost:counter/rx:1910002000012",
     "predict, SYNC stops or slows:times/rx:1950001000019", "predict, another rate:times/rx:1900002000001",
-    "PDOs behind later SYNCs, some lost:plain/rx:1880006000008",
+    "PDOs behind later SYNCs, some lost:plain/rx:1880006000008", "two faults, TPDO 1:servo/rx:8100001000000",
     "PDOs behind later SYNCs, some lost:plain/rx:1880006000010", "PDO replayed:counter:424001000000",
     "1006h wrong:counter:515001000000", "PDOs late by 1 and 2:counter/rx:737001000002",
     "PDOs late by 1 and 2:servo/rx:2010001000036", "SYNC, another rate:plain/rx:2030001000099",

@@ -65,9 +65,8 @@ class SamplingInterval:
 
 
 class InterfaceGrid:
-    """Several samples for each SYNC: the earlier ones were taken by the interval of SYNC, exactly.
-
-    That is the interval by the clock of the interface, as ``chain`` learns it from the sample times.
+    """Several samples for each SYNC: the earlier ones were taken by its interval, by the clock of the
+    interface, as ``chain`` learns it from the sample times.
     """
 
     def __init__(self, chain: SignalChain, interval: SamplingInterval) -> None:
@@ -78,23 +77,26 @@ class InterfaceGrid:
         self._learned_s = 0.0
 
     def follow(self) -> None:
-        """Before a sample with its time. While the grid is not known, times measure no intervals."""
-        grid_s, chain = self._grid_s(), self._chain
+        """Before a sample with its time. While the grid is not known, times measure no intervals.
+
+        Another rate loses a machine that moves: the interface may still sample at the old.
+        """
+        learned_s, grid_s, chain = self._learned_s, self._grid_s(), self._chain
         # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
         chain.measures_intervals = grid_s > 0.0
         if abs(grid_s - chain.sync_interval_s) > SAME_GRID * grid_s:
+            if learned_s and abs(grid_s - learned_s) > CLOSE * grid_s:
+                chain.uncertain(1.0)
             chain.sync_interval_s = grid_s
 
     def _grid_s(self) -> float:
-        """0.0: not known yet. 1006h is exact but for the drift of that clock, and so better for a while.
+        """0.0: not known yet. 1006h is exact but for drift: better for a while.
 
-        What was learned stays until the module is reset, or a new lock knows better.
+        What was learned stays until a reset, or a new lock knows better.
         """
         lock, nominal_s = self._chain.sample_grid, self._interval.nominal_s
-        if not lock.locked:
-            return self._learned_s or nominal_s
-        learned_s = lock.period * TICK_S
-        if lock.seen < EXACT_SYNCS and abs(learned_s - nominal_s) <= CLOSE * nominal_s:
-            return nominal_s
-        self._learned_s = learned_s
-        return learned_s
+        if lock.locked:
+            learned_s = lock.period * TICK_S
+            near = lock.seen < EXACT_SYNCS and abs(learned_s - nominal_s) <= CLOSE * nominal_s
+            self._learned_s = nominal_s if near else learned_s
+        return self._learned_s or nominal_s
