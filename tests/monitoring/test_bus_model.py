@@ -72,13 +72,13 @@ def test_position_status_residual_and_tracks_are_those_of_the_module(turning: Mo
     assert low < math.hypot(*shown.tracks_counts[-1]) < high
 
 
-def test_velocity_goes_on_over_the_end_of_the_range_and_backwards() -> None:
+def test_velocity_goes_on_over_the_end_of_the_range_backwards_and_over_a_preset() -> None:
     (layout,) = known_layouts(Config(), [NODE])
     model = BusModel([layout])
     per_s = -3 * layout.units_per_revolution
     for k in range(60):
         now = k * 0.005
-        position = round(1000 + per_s * now) % layout.total_range
+        position = round(1000 + per_s * now + (k >= 40) * 54321) % layout.total_range
         model.receive(Frame(0x180 + NODE, struct.pack("<IHH", position, 1, 0)), now)
     ((_, shown),) = model.snapshot().modules
     assert shown.velocity_rad_s == pytest.approx(-6.0 * math.pi, rel=1e-3)

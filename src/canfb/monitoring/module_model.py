@@ -237,16 +237,18 @@ class ModuleModel:
         return -float(measured) if self.layout.reversed else float(measured)
 
     def _velocity_of_positions(self, now: float) -> float | None:
-        if len(self._positions) < 2 or not self.layout.units_per_revolution:
-            return None
-        (first_s, _), (last_s, _) = self._positions[0], self._positions[-1]
-        if last_s <= first_s or now - last_s > FRESH_S:
+        positions, per_revolution = self._positions, self.layout.units_per_revolution
+        if len(positions) < 2 or not per_revolution or now - positions[-1][0] > FRESH_S:
             return None
         total = self.layout.total_range or WORDS
-        places = [position for _, position in self._positions]
-        steps = ((after - before) % total for before, after in pairwise(places))
-        moved = sum(step - total if step > total // 2 else step for step in steps)
-        return moved / self.layout.units_per_revolution * 2.0 * math.pi / (last_s - first_s)
+        half = total // 2
+        steps = sorted(
+            (((after - before + half) % total - half) / (after_s - before_s), after_s - before_s)
+            for (before_s, before), (after_s, after) in pairwise(positions)
+        )
+        counted = steps[1:-1] or steps  # a preset is the fastest step one way, and moves nothing
+        moved = sum(speed * time_s for speed, time_s in counted)
+        return moved / per_revolution * 2.0 * math.pi / sum(time_s for _, time_s in counted)
 
 
 def _since(time_s: float | None, now: float) -> float | None:
