@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -34,13 +34,11 @@ class Port:
         "due_s",
         "inhibited",
         "moved",
-        "number",
         "receive",
         "sent",
     )
 
-    def __init__(self, number: int, device: Device) -> None:
-        self.number = number
+    def __init__(self, device: Device) -> None:
         self.device = device
         self.receive = device.receive
         self.deadline = device.deadline
@@ -58,7 +56,7 @@ class Dispatch:
     """
 
     def __init__(self, devices: list[Device], bus: FrameBus) -> None:
-        self.ports = tuple(Port(number, device) for number, device in enumerate(devices))
+        self.ports = tuple(map(Port, devices))
         self.moved = True
         self.data: dict[int, Ports] = {}  # Who gets a data frame; ``everyone`` gets those of other CAN-IDs.
         self.remote: dict[int, Ports] = {}
@@ -115,12 +113,9 @@ class Dispatch:
             self._bus.accept(self.data, self.remote)
 
     def _table(self, can_ids: Callable[[Port], Iterable[int]]) -> dict[int, Ports]:
-        listening = defaultdict[int, list[Port]](lambda: list(self.everyone))
-        for port in self.ports:
-            for can_id in can_ids(port):
-                listening[can_id].append(port)
         return {
-            can_id: tuple(sorted(some, key=lambda port: port.number)) for can_id, some in listening.items()
+            can_id: tuple(one for one in self.ports if one in self.everyone or can_id in can_ids(one))
+            for can_id in {can_id for port in self.ports for can_id in can_ids(port)}
         }
 
     def _has_moved(self, port: Port) -> None:
