@@ -72,10 +72,8 @@ def group_port(group: object) -> int | None:
 
     None for python-can's own two groups (43113), and for no address.
     """
-    if not isinstance(group, str):
-        return None
     try:
-        address = ipaddress.ip_address(group.partition("%")[0])
+        address = ipaddress.ip_address(str(group).partition("%")[0])
     except ValueError:
         return None
     if not address.is_multicast or address.packed in _GROUPS_OF_PYTHON_CAN:
