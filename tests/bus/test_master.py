@@ -72,7 +72,7 @@ def test_it_hears_what_it_has_subscribed_to_and_nothing_else(peer: can.BusABC) -
 
 def test_what_it_sends(peer: can.BusABC) -> None:
     with BusMaster(open_virtual()) as master:
-        master.request(0x720)
+        master.send(0x720, b"", remote=True)
         master.send(0x000, b"\x01\x20")
     for want in ((0x720, b"", True, False), (0x000, b"\x01\x20", False, False)):
         got = peer.recv(5.0)

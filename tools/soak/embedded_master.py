@@ -48,11 +48,8 @@ class EmbeddedMaster:
             self.clients[node_id] = EmbeddedClient(self, node_id, self._answer_s)
         return self.clients[node_id]
 
-    def send(self, can_id: int, data: bytes) -> None:
-        self.bus.send(Frame(can_id, data))
-
-    def request(self, can_id: int) -> None:
-        self.bus.send(Frame(can_id, b"", True))
+    def send(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        self.bus.send(Frame(can_id, data, remote))
 
     def now(self) -> float:
         return self.bus.now

@@ -60,9 +60,6 @@ class BusMaster:
         except (can.CanError, OSError) as error:
             raise BusError(f"a frame could not be sent: {reason(error)}") from error
 
-    def request(self, can_id: int) -> None:
-        self.send(can_id, b"", remote=True)
-
     def produce_sync(self, rate_hz: float) -> None:
         message = can.Message(arbitration_id=cob.SYNC, is_extended_id=False)
         try:
@@ -84,9 +81,9 @@ class BusMaster:
             time.sleep(min(left, LOOK_S))
 
     def check(self) -> None:
-        error = self._network.listener.error
-        if error is not None:
-            raise BusError(f"the bus fails: {reason(error)}") from error
+        notifier = self._network.notifier
+        if notifier is not None and notifier.exception is not None:
+            raise BusError(f"the bus fails: {reason(notifier.exception)}") from notifier.exception
 
 
 class _Network(canopen.Network):
@@ -98,8 +95,7 @@ class _Network(canopen.Network):
         self._bus = bus
         super().__init__(bus)
         self.subscribers = {}
-        self.listener = _Listener(self)
-        self.listeners = [self.listener]
+        self.listeners = [_Listener(self)]
 
     def subscribe(self, can_id: int, callback: Callable[..., None]) -> None:
         super().subscribe(can_id, callback)
@@ -115,15 +111,11 @@ class _Network(canopen.Network):
 
 
 class _Listener(MessageListener):
-    """Passes classic frames with 11-bit identifiers; keeps the error that ended it."""
-
-    def __init__(self, network: canopen.Network) -> None:
-        super().__init__(network)
-        self.error: Exception | None = None
+    """Passes classic frames with 11-bit identifiers."""
 
     def on_message_received(self, msg: can.Message) -> None:
         if not (msg.is_extended_id or msg.is_fd or msg.is_error_frame or msg.is_remote_frame):
             self.network.notify(msg.arbitration_id, msg.data, msg.timestamp)
 
     def on_error(self, exc: Exception) -> None:
-        self.error = exc
+        """The notifier keeps it."""

@@ -95,7 +95,7 @@ def scan(master: Master, listen_s: float) -> list[FoundNode]:
         for node in sorted(answers | set(states)):
             access = NodeAccess(master, node, "node")
             if node in answers and node not in states and not access.integer_if_there(GUARD_TIME, "H"):
-                master.request(cob.ERROR_CONTROL + node)
+                master.send(cob.ERROR_CONTROL + node, b"", remote=True)
                 master.wait(STATE_S)
             state = states.get(node)
             found.append(_described(access, state) if node in answers else FoundNode(node, STATES.get(state)))

@@ -117,11 +117,8 @@ class Master(Protocol):
     def unsubscribe(self, can_id: int, on_frame: OnFrame) -> None:
         """No more of it."""
 
-    def send(self, can_id: int, data: bytes) -> None:
-        """Send a data frame."""
-
-    def request(self, can_id: int) -> None:
-        """Send a remote frame."""
+    def send(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send a data frame, or a remote frame."""
 
     def now(self) -> float:
         """Seconds, monotonic."""
@@ -296,7 +293,7 @@ def nmt_state(node: NodeAccess) -> NmtState:
             _wait_until(node.master, LATE * node.integer(*GUARD_TIME, "H") / 1000, lambda: received)
             for _ in range(ASKED):
                 if not received:
-                    node.master.request(cob.ERROR_CONTROL + node.node_id)
+                    node.master.send(cob.ERROR_CONTROL + node.node_id, b"", remote=True)
                     _wait_until(node.master, ANSWER_S, lambda: received)
     states = [state for data in received if (state := state_in(data)) is not None]
     if states:
