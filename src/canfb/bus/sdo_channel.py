@@ -37,7 +37,10 @@ def sdo_turn(bus: str, node_id: int, longest_s: float = LONGEST_TURN_S) -> Itera
     file = _opened(os.path.join(tempfile.gettempdir(), f"canfb-sdo-{zlib.crc32(bus.encode()):08x}-{node_id}"))
     try:
         end = time.monotonic() + longest_s
-        while file is not None and not _is_locked(file):
+        while file is not None:
+            with contextlib.suppress(OSError):
+                lock_file(file)
+                break
             if time.monotonic() >= end:
                 raise BusError(
                     f"another canfb program on this computer uses the SDO channel of node {node_id} for more "
@@ -56,14 +59,6 @@ def _opened(path: str) -> int | None:
         with contextlib.suppress(OSError):
             return os.open(path, flags, 0o644)
     return None
-
-
-def _is_locked(file: int) -> bool:
-    try:
-        lock_file(file)
-    except OSError:
-        return False
-    return True
 
 
 def lock_file(file: int) -> None:
