@@ -76,24 +76,17 @@ class StateFiles:
 
     def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
         """What is kept, by group, or an OSError."""
-        kept: dict[ParameterGroup, bytes | OSError] = {}
+        found: dict[ParameterGroup, bytes | OSError | None] = {}
         for group in ParameterGroup:
             try:
-                image = self._read(_file_name(group))
+                found[group] = self._read(_file_name(group))
             except OSError as error:
-                kept[group] = error
-            else:
-                if image is not None:
-                    kept[group] = image
+                found[group] = error
         try:
-            pending = self._pending()
+            found |= self._pending()
         except OSError as error:
-            return kept | dict.fromkeys(PARAMETERS, error)
-        for group, image in pending.items():
-            kept.pop(group, None)
-            if image is not None:
-                kept[group] = image
-        return kept
+            found |= dict.fromkeys(PARAMETERS, error)
+        return {group: image for group, image in found.items() if image is not None}
 
     def save(self, changes: Changes) -> None:
         """All of ``changes`` or, with an OSError, none; None forgets."""
