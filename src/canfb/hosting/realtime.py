@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import logging
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from canfb.configuration import RealtimeConfig
+from canfb.errors import reason
 
 log = logging.getLogger(__name__)
 
@@ -30,22 +32,28 @@ class RealtimeThread(threading.Thread):
 def apply_realtime(config: RealtimeConfig, report: Callable[[str], None] = log.warning) -> None:
     """Request what ``config`` sets; a refusal is reported."""
     if config.priority:
-        _try("priority", report, lambda: _set_fifo(config.priority))
+        with _reporting("priority", report):
+            # Not for processes that we start: a computation must not take the time of the SYNC cycle.
+            for thread in _threads():
+                os.sched_setscheduler(
+                    thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(config.priority)
+                )
     if config.lock_memory:
-        _try("lock_memory", report, _lock_memory)
+        with _reporting("lock_memory", report):
+            _lock_memory()
     if config.cpu is not None:
-        cpu = config.cpu
-        # A program that never sleeps leaves no time on its processor for threads that the cycle waits for.
-        threads = [0] if config.busy_poll else _threads()
-        _try("cpu", report, lambda: _set_cpu(cpu, threads))
+        with _reporting("cpu", report):
+            # A program that never sleeps leaves no time there for threads that the cycle waits for.
+            for thread in [0] if config.busy_poll else _threads():
+                os.sched_setaffinity(thread, {config.cpu})
 
 
-def _try(name: str, report: Callable[[str], None], action: Callable[[], None]) -> None:
+@contextlib.contextmanager
+def _reporting(name: str, report: Callable[[str], None]) -> Iterator[None]:
     try:
-        action()
+        yield
     except (OSError, AttributeError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        report(f"realtime: {name} could not be set: {reason}{_suggestion(name, error)}")
+        report(f"realtime: {name} could not be set: {reason(error)}{_suggestion(name, error)}")
 
 
 def _suggestion(name: str, error: Exception) -> str:
@@ -54,17 +62,6 @@ def _suggestion(name: str, error: Exception) -> str:
     capability, limit = _RIGHTS[name]
     python = os.path.realpath(sys.executable)
     return f"; sudo setcap {capability}+ep {python}, or {limit} in the systemd unit; see docs/service.md"
-
-
-def _set_fifo(priority: int) -> None:
-    # Not for processes that we start: a computation must not take the time of the SYNC cycle.
-    for thread in _threads():
-        os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
-
-
-def _set_cpu(cpu: int, threads: list[int]) -> None:
-    for thread in threads:
-        os.sched_setaffinity(thread, {cpu})
 
 
 def _threads() -> list[int]:
