@@ -136,10 +136,6 @@ class Hosting(OnBus):
             ),
         ]
 
-    def _node_ids(self) -> list[int]:
-        node_ids = [device.node_id_at_power_on() for device in self._nodes]
-        return [node_id for node_id in node_ids if node_id != UNCONFIGURED]
-
     def _meanwhile(self, now: float) -> None:
         self._looked_s = now
         self._events.tick(now)

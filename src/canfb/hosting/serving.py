@@ -17,7 +17,8 @@ from canfb.bus.runner import Runner, outside_collections
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.configuration import RealtimeConfig
-from canfb.device.node import Device
+from canfb.device.lss import UNCONFIGURED
+from canfb.device.node import Device, NodeDevice
 from canfb.errors import CanfbError
 from canfb.hosting.realtime import apply_realtime
 
@@ -41,13 +42,10 @@ class OnBus(ABC):
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         """``resources`` closes what they open. Before the bus is opened."""
 
-    @abstractmethod
-    def _node_ids(self) -> list[int]:
-        """The node-IDs of the devices, those that have one."""
-
-    def _refuse_used_node_ids(self, runner: Runner) -> None:
-        """CanfbError if another node, not STOPPED or with a heartbeat, has one."""
-        node_ids = self._node_ids()
+    def _refuse_used_node_ids(self, runner: Runner, devices: list[Device]) -> None:
+        """CanfbError if another node, not STOPPED or with a heartbeat, has the node-ID of one of them."""
+        known = [one.node_id_at_power_on() for one in devices if isinstance(one, NodeDevice)]
+        node_ids = [node for node in known if node != UNCONFIGURED]
         signs = {base + node: node for node in node_ids for base in (cob.SDO_RESPONSE, cob.ERROR_CONTROL)}
         asked = [Frame(cob.SDO_REQUEST + node, READ_DEVICE_TYPE) for node in node_ids]
         heard = runner.hears(signs, LISTEN_S) or runner.hears(signs, ANSWER_S, asked)
@@ -67,7 +65,7 @@ class OnBus(ABC):
             devices = self._make_devices(opened)
             bus = opened.enter_context(open_device_bus(self.words))
             self._runner = Runner(bus, devices, meanwhile=self._meanwhile, busy_poll=self._realtime.busy_poll)
-            self._refuse_used_node_ids(self._runner)
+            self._refuse_used_node_ids(self._runner, devices)
             apply_realtime(self._realtime)
             opened.enter_context(outside_collections())
             self._resources = opened.pop_all()

@@ -34,18 +34,13 @@ class Simulating(OnBus):
         super().__init__(words, realtime)
         self.network: SimulatedNetwork = set_up(simulation, module, play, log.warning)
         self._intervals = math.inf if seconds is None else seconds * self.network.rate_hz
-        self._interface_id = node = module.encoder_interface
-        self._node = f"{node} ({node:02X}h)"
+        self._node = f"{module.encoder_interface} ({module.encoder_interface:02X}h)"
         self.network.interface.on_duplicate = lambda can_id, now: log.warning(
             f"encoder interface {self._node}: another node on the bus uses this node-ID ({can_id:03X}h)"
         )
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         return list(self.network.devices)
-
-    def _node_ids(self) -> list[int]:
-        drive = self.network.drive
-        return [self._interface_id, *([] if drive is None else [drive.node_id])]
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Until the end; ``ready`` is called on the bus."""
