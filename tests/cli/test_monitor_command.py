@@ -218,6 +218,6 @@ def test_on_a_bus_the_modules_are_asked_for_their_mapping(command: Command) -> N
     config = Config({"interface": "virtual", "channel": "dump-x"}, [ModuleConfig(node_id=32, autostart=True)])
     first = [Frame(0x620, download(*one)) for one in mapped]
     with NetworkOnBus(config, 200.0, first=first) as demo:
-        out = command("monitor --frames -i virtual --seconds 0.3 -c", demo.words["channel"]).out
+        out = command("monitor --frames -i virtual --seconds 0.3 -c", demo.config.bus["channel"]).out
     assert "TPDO3 of 32: velocity " in out
     assert "RPDO1 of 32: sine " in out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import argparse
 import contextlib
 import json
@@ -30,7 +31,7 @@ from canfb.configuration import load_config
 from canfb.files import prepare_folder, write_whole
 from canfb.hosting.event_log import summary_of
 from canfb.hosting.readiness import Readiness
-from canfb.hosting.trying import START_ALL, NetworkOnBus, end_main, private_bus
+from canfb.hosting.trying import START_ALL, NetworkOnBus, private_bus
 from canfb.rows import those
 
 # Below, the machine of the example accelerates too much from SYNC to SYNC.
@@ -108,7 +109,7 @@ def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> No
         return
     from canfb.cli.monitor import monitor  # here: for this, no other command is imported
 
-    network.on_end = end_main
+    network.on_end = _thread.interrupt_main  # as Ctrl-C does; from any thread
     words = ["monitor", "--web", "--config", str(path), "--sdo", "--port", str(options.port)]
     if options.ready_file is not None:
         words += ["--ready-file", options.ready_file]
@@ -119,8 +120,9 @@ def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> No
 
 def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | None) -> None:
     (module,) = network.config.modules
-    group = str(network.words["channel"])
-    bus = f"-i {network.words['interface']} -c {group}"
+    words = network.config.bus
+    group = str(words["channel"])
+    bus = f"-i {words['interface']} -c {group}"
     following = [
         f"canfb monitor 0x{module.node_id:02X} --sdo {bus}",
         f'canfb sdo read 0x{module.node_id:02X} "status word" {bus}',
@@ -129,7 +131,7 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
     said = {
         "event": "ready",
         "page": address,
-        "interface": network.words["interface"],
+        "interface": words["interface"],
         "channel": group,
         "port": group_port(group),
         "rate_hz": options.rate,
@@ -139,7 +141,7 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
     }
     nodes = f"node {module.node_id} ({module.node_id:02X}h), its encoder interface and SYNC"
     lines = [
-        f"running {nodes} at {options.rate:g} Hz on {describe(network.words)}; end with Ctrl-C",
+        f"running {nodes} at {options.rate:g} Hz on {describe(words)}; end with Ctrl-C",
         *those((address, f"open {address}")),
         "next, in another terminal:",
         *(f"  {line}" for line in following),

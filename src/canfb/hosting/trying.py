@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import _thread
 import contextlib
 import logging
 import os
@@ -61,11 +60,6 @@ def _bound(lock: socket.socket, port: int | None) -> bool:
     return True
 
 
-def end_main() -> None:
-    """As Ctrl-C does; from any thread."""
-    _thread.interrupt_main()
-
-
 class NetworkOnBus:
     """The first module of ``config``, its encoder interface and the SYNC at ``rate_hz``, in a thread.
 
@@ -82,18 +76,14 @@ class NetworkOnBus:
         self._received: Frame | None = None
         self._stopped = threading.Event()
 
-    @property
-    def words(self) -> dict[str, Any]:
-        return self.config.bus
-
     def __enter__(self) -> Self:
         network, events = self._network, self._events
         with contextlib.ExitStack() as held:
             folder = held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-"))
             module = replace(self.config.modules[0], state_dir=folder)
             self.config = replace(self.config, modules=[module])
-            self.module = make_module(module, held, self.words)
-            self._bus = held.enter_context(open_device_bus(self.words))
+            self.module = make_module(module, held, self.config.bus)
+            self._bus = held.enter_context(open_device_bus(self.config.bus))
             play = Play(rate_hz=self._rate_hz, autostart=module.autostart)
             simulated = set_up(self.config.simulation, module, play, log.warning)
             events.watch(self.module, self.module.events)
@@ -122,20 +112,17 @@ class NetworkOnBus:
         self.on_end()
 
     def _run(self) -> None:
+        network, step_s, due = self._network, 1.0 / self._rate_hz, time.monotonic()
         try:
-            self._play()
+            while not self._stopped.is_set():
+                self._receive(max(0.0, due - time.monotonic()))
+                now = time.monotonic()
+                if now >= due:
+                    network.run_until(network.now + step_s)
+                    due = max(due + step_s, now - LONGEST_LAG_S)
+                    self._events.tick(network.now)
         except (can.CanError, OSError) as error:
             raise BusError(f"{BUS_FAILS}: {reason(error)}") from error
-
-    def _play(self) -> None:
-        network, step_s, due = self._network, 1.0 / self._rate_hz, time.monotonic()
-        while not self._stopped.is_set():
-            self._receive(max(0.0, due - time.monotonic()))
-            now = time.monotonic()
-            if now >= due:
-                network.run_until(network.now + step_s)
-                due = max(due + step_s, now - LONGEST_LAG_S)
-                self._events.tick(network.now)
 
     def _receive(self, wait_s: float) -> None:
         received = self._bus.receive(wait_s)
