@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 
 from canfb import objects as od
+from canfb.bus.frame_bus import ERROR
 from canfb.cia301 import cob
 from canfb.cia301.codes import EMERGENCY, EmergencyCode, NmtCommand, NmtState, emergency_text
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame, frame_bits
@@ -132,17 +133,15 @@ class BusModel:
         if module is not None:
             module.put(place, value, now)
 
-    def error_frame(self) -> None:
-        self._error_frames += 1
-
-    def other_frame(self, data_bytes: int, now: float) -> None:
-        """One that only counts for the load."""
-        self._load.frame(frame_bits(min(data_bytes, LONGEST_DATA), extended=True), self._at(now))
-
     def receive(self, frame: Frame, now: float) -> None:
-        now = self._at(now)
+        """Flagged as :func:`.flagged_id` has it; one that is not of CANopen counts for the load alone."""
         can_id, data = frame.can_id, frame.data
-        self._load.frame(frame_bits(0 if frame.rtr else min(len(data), LONGEST_DATA)), now)
+        if can_id & ERROR:
+            self._error_frames += 1
+            return
+        now = self._at(now)
+        data_bytes = 0 if frame.rtr else min(len(data), LONGEST_DATA)
+        self._load.frame(frame_bits(data_bytes, extended=can_id > HIGHEST_ID), now)
         if frame.rtr or not 0 <= can_id <= HIGHEST_ID:
             return
         if can_id in self._sync_ids or (can_id == cob.SYNC and not self._sync_ids):

@@ -13,7 +13,7 @@ from pathlib import Path
 import can
 
 from canfb.bus.clocks import ReceiveTimes
-from canfb.bus.frame_bus import ERROR, Reception, flagged_id
+from canfb.bus.frame_bus import Reception, flagged_id
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.logfile.bus_logs import BusLogFile
 from canfb.logfile.log_files import LogError
@@ -122,7 +122,7 @@ class Watching:
         self._due_s = self._interval_s
         for at, frame in self._reader.bus(bus, lambda: self._due_s):
             if frame is not None:
-                self._take(frame, at)
+                self._model.receive(frame, at)
             if at >= self._due_s:
                 self._look(at)
                 self._due_s = max(self._due_s + self._interval_s, at)
@@ -138,7 +138,7 @@ class Watching:
                     self._reader.sleep(self._interval_s / speed)
                 self._look(due)
                 due += self._interval_s
-            self._take(frame, now)
+            self._model.receive(frame, now)
         self._look(now)
 
     def _look(self, now: float) -> None:
@@ -149,11 +149,3 @@ class Watching:
                 self._model.put(reading.node_id, place, value, now)
         self.latest = self._model.snapshot(now)
         self._show(self.latest)
-
-    def _take(self, frame: Frame, at: float) -> None:
-        if frame.can_id & ERROR:
-            self._model.error_frame()
-        elif frame.can_id > HIGHEST_ID:
-            self._model.other_frame(len(frame.data), at)
-        else:
-            self._model.receive(frame, at)
