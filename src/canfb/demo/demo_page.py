@@ -25,7 +25,7 @@ from canfb.demo.story import (
 )
 from canfb.files import writing
 from canfb.report.page import beside, figure, gallery, page, svg_file, table
-from canfb.report.pictures import SHOWN_SAMPLES, circle, cloud, square_plot
+from canfb.report.pictures import PERCENT, SHOWN_SAMPLES, circle, cloud, square_plot
 from canfb.report.plot import Plot, nice_limit
 from canfb.rows import Row, as_columns, as_figures, as_lines
 from canfb.signal.phase import FloatArray
@@ -151,7 +151,6 @@ def verdict(held: bool) -> str:
     return "held" if held else "FAILED"
 
 
-PERCENT = 100.0
 MOVE_SHOWN_MS = -10.0, 75.0
 FIRST_NAME, NAMES_APART = 0.75, 0.06  # heights of the names of the faults, above all residuals
 

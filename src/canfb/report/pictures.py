@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.calibration.result import BINS, root_mean
-from canfb.report.plot import Plot, Scale, nice_limit, size_around
+from canfb.report.plot import BOTTOM, LEFT, RIGHT, TOP, Plot, Scale, nice_limit
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, wrap
@@ -181,7 +181,7 @@ def amplitude_over_phase(over_phase: FloatArray, low: float, high: float) -> str
 SHOWN_SAMPLES = 4000
 DENSITY_CELLS = (300, 150, 60)  # to the side of the picture; the first that makes no more dots than that
 SHADES, FAINTEST = 5, 0.3
-SIDE = 394.0  # of the square within the axes: a circle is drawn as one
+SQUARE = 394.0 + LEFT + RIGHT, 394.0 + TOP + BOTTOM  # within the axes: a circle is drawn as one
 
 
 def lissajous(
@@ -210,7 +210,7 @@ def lissajous(
 def square_plot(title: str, most_counts: float) -> Plot:
     """Axes for both tracks, -``most_counts``..``most_counts``."""
     extent = (-most_counts, most_counts)
-    return Plot(title, extent, extent, ("cosine, ADC counts", "sine, ADC counts"), size_around(SIDE, SIDE))
+    return Plot(title, extent, extent, ("cosine, ADC counts", "sine, ADC counts"), SQUARE)
 
 
 def cloud(plot: Plot, x: FloatArray, y: FloatArray, style: str, name: str) -> Plot:

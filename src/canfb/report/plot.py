@@ -23,11 +23,6 @@ class Key(NamedTuple):
     kind: str
 
 
-def size_around(width: float, height: float) -> tuple[float, float]:
-    """With this much room within the axes."""
-    return width + LEFT + RIGHT, height + TOP + BOTTOM
-
-
 class Plot:
     """One picture; what draws returns it. ``style``: a CSS class, ``name``: in the legend."""
 
@@ -91,11 +86,12 @@ class Plot:
         return self
 
     def rings(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> Self:
-        for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
-            place = f'cx="{self.x(one):.1f}" cy="{self.y(other):.1f}" r="{RING_RADIUS:g}"'
-            self._draw(f'<circle class="ring {style}" {place}/>', style, name, "ring")
-            name = None
-        return self
+        circles = "".join(
+            f'<circle class="ring {style}" cx="{self.x(one):.1f}" cy="{self.y(other):.1f}" '
+            f'r="{RING_RADIUS:g}"/>'
+            for one, other in zip(xs.tolist(), ys.tolist(), strict=True)
+        )
+        return self._draw(circles, style, name, "ring")
 
     def note(self, x: float, y: float, words: str, style: str, offset: tuple[float, float]) -> Self:
         """``offset`` right and down; style "end": they end there."""
