@@ -25,7 +25,7 @@ from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import put_in_force, read_active, read_conditioning
 from canfb.master.machine_watch import Provenance
 from canfb.master.session import read_corners
-from canfb.sdo.tables import as_yaml, read_table_file
+from canfb.sdo.tables import as_yaml, read_table
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.front_end import NO_LOW_PASS
@@ -144,7 +144,7 @@ def test_a_table_without_them_leaves_them(canfb: Commands, tmp_path: Path) -> No
     assert delays(bench) == (DELAY_S, LAG_S, CORNER_HZ)
     assert bench.module.chain.correction.conditioning.phase_error_rad == 0.125
     canfb(bench, "table", "read", NODE, path)
-    assert read_table_file(path).used == bench.module.chain.correction
+    assert read_table(path).used == bench.module.chain.correction
     other = Bench(sync=False)
     canfb(other, "table", "write", NODE, path, "--activate")
     assert delays(other) == (DELAY_S, LAG_S, 0.0)

@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.all_or_nothing import put_in_force, read_active
-from canfb.sdo.tables import as_yaml, difference, read_table_file
+from canfb.sdo.tables import as_yaml, difference, read_table
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, OTHER, PHASES, TABLE, Bench
@@ -74,7 +74,7 @@ def test_down_and_up_again_is_the_same(canfb: Commands, tmp_path: Path, name: st
     canfb(bench, "table", "clear", NODE)
     canfb(bench, "table", "write", NODE, path, "--activate")
     assert in_force(bench) == NEW, "bytes alone leave the conditioning of the module"
-    assert read_table_file(path).cycles_per_revolution == (2500 if name == "copy.yaml" else None)
+    assert read_table(path).cycles_per_revolution == (2500 if name == "copy.yaml" else None)
 
 
 def test_show_before_and_after_a_save(canfb: Commands, file: Path) -> None:
@@ -228,7 +228,7 @@ def test_any_table_file_comes_back(n: int, bump: float, gain: float, offset: flo
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.yaml"
         path.write_text(text)
-        found = read_table_file(path)
+        found = read_table(path)
     assert (found.used, found.with_conditioning, found.cycles_per_revolution) == (used, True, n)
 
 

@@ -30,13 +30,13 @@ from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.hosting.state_files import StateFiles
 from canfb.logs.log_replay import ReplayOptions, replay_log
-from canfb.master.samples import read_npz, read_speed
+from canfb.master.samples import read_npz
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.sdo.backups import Backup, NodeIdentity, backup_text, read_backup
 from canfb.sdo.object_description import ObjectDescriptions
-from canfb.sdo.tables import as_yaml, read_table_file
+from canfb.sdo.tables import as_yaml, read_table
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.sources.recording_source import RecordingLayout, open_recording
@@ -165,10 +165,10 @@ def _settings(path: Path) -> None:
 
 
 def _table(path: Path) -> None:
-    used = read_table_file(path).for_module(IDENTITY)
+    used = read_table(path).for_module(IDENTITY)
     again = path.with_suffix(".yaml")
     again.write_text(as_yaml(used, {}), encoding="utf-8")
-    demand(read_table_file(again).used == used, "a table that is written is not the one that was read")
+    demand(read_table(again).used == used, "a table that is written is not the one that was read")
 
 
 def _tables() -> list[bytes]:
@@ -218,7 +218,6 @@ def _recordings() -> list[bytes]:
 
 def _npz(path: Path) -> None:
     read_npz(path)
-    read_speed(path)
 
 
 def _arrays() -> list[bytes]:

@@ -103,7 +103,7 @@ class CalibrationRun:
     def from_file(self, path: Path) -> Result:
         """Samples of a file, or of a folder with those of each speed: nothing but files can come of it."""
         choices, settings = self._choices, self._choices.settings(None)
-        before = read_table(choices.table) if choices.table else NO_CORRECTION
+        before = read_table(choices.table).used if choices.table else NO_CORRECTION
         if choices.speeds is not None:
             each = choices.samples_of_folder(path)
             return self._report(self._measured_speeds(each, settings, InForce(before)))

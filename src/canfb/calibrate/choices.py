@@ -10,10 +10,11 @@ from pathlib import Path
 
 from canfb.calibrate.measurement import ESTIMATE, MOTION, ZERO_CROSSINGS, Settings, SpeedSamples
 from canfb.errors import ConfigError
-from canfb.master.samples import TrackSamples, read_npz, read_speed
+from canfb.master.samples import TrackSamples, read_npz
 from canfb.signal.conditioning import LONGEST_DELAY_S
 from canfb.signal.supervision import SampleLimits
 from canfb.sources.recording_source import RecordingLayout, chosen_layout, open_recording
+from canfb.sources.sample_files import read_tracks
 
 PDO, RECORDING, MODULE, INTERFACE = "pdo", "recording", "module", "interface"
 DEFAULT_MODULE = 0x20
@@ -201,7 +202,7 @@ class CalibrateOptions:
             raise ConfigError(f"--samples {folder}: with --speeds a folder with a file for each speed")
         rpm, per_turn = self.speeds_rpm, self.cycles_per_revolution
         if self.speeds == RECORDED:
-            known = [read_speed(one) if one.suffix.lower() == ".npz" else None for one in files]
+            known = [read_tracks(one).cycles_per_s if one.suffix.lower() == ".npz" else None for one in files]
         elif len(rpm) != len(files) or per_turn is None:
             raise ConfigError(
                 f"--speeds {self.speeds}: {len(files)} speeds are required, one for each file of {folder} "

@@ -13,7 +13,7 @@ from canfb.errors import ConfigError
 from canfb.files import check_writable
 from canfb.master.access import NodeAccess
 from canfb.rows import Result
-from canfb.sdo.tables import TableState, TableTasks, read_table_file
+from canfb.sdo.tables import TableState, TableTasks, read_table
 
 FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
 
@@ -76,7 +76,7 @@ def show(options: argparse.Namespace) -> int:
     except argparse.ArgumentTypeError:
         if not Path(options.what).exists():
             raise ConfigError(f"{options.what}: neither a node-ID (1 to 127) nor a file") from None
-        file = read_table_file(options.what)
+        file = read_table(options.what)
         state = TableState(options.what, file.used, file.cycles_per_revolution, in_file=True)
     else:
         with node_options.master_of(options) as master:
@@ -85,7 +85,7 @@ def show(options: argparse.Namespace) -> int:
 
 
 def write(options: argparse.Namespace) -> int:
-    file = read_table_file(options.file)
+    file = read_table(options.file)
     return _do(
         options,
         lambda tasks: tasks.upload(file, active=options.activate, keep=options.save, force=options.force),

@@ -165,11 +165,6 @@ def write_csv(path: Path, samples: TrackSamples) -> None:
                 rows.writerow([*time, *map(int, pair)])
 
 
-def read_speed(path: Path) -> float | None:
-    """cycles_per_s of an NPZ file, or None."""
-    return read_tracks(path).cycles_per_s
-
-
 def read_npz(path: Path) -> TrackSamples:
     tracks = read_tracks(path)
     return TrackSamples(tracks.sine, tracks.cosine, tracks.rate_hz, f"file {path.name}", tracks.time_s)

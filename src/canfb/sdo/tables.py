@@ -118,13 +118,8 @@ class TableFile:
         return Correction(self.used.table, self.used.conditioning.with_delays_of(active))
 
 
-def read_table(path: str | Path) -> Correction:
+def read_table(path: str | Path) -> TableFile:
     """CommissioningError for no table file."""
-    return read_table_file(path).used
-
-
-def read_table_file(path: str | Path) -> TableFile:
-    """:func:`read_table`, with what else is known of it."""
     path = Path(path)
     data = read_bytes(path, CommissioningError)
     try:
