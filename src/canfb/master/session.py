@@ -13,7 +13,6 @@ from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
 from canfb.master.all_or_nothing import read_active
 from canfb.master.machine_watch import Provenance, check_valid
 from canfb.master.samples import Listener, TrackSamples, listen, record
-from canfb.objects import Multiplexer
 from canfb.signal.chain_config import ChainLimits
 from canfb.signal.correction import Correction
 from canfb.signal.front_end import Corners
@@ -35,7 +34,7 @@ AMPLITUDES = (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
 class LimitObject(NamedTuple):
     """An object that holds a limit; its layout as in struct."""
 
-    place: Multiplexer
+    place: od.Multiplexer
     layout: str
     name: str
     unit: str
@@ -66,7 +65,7 @@ class SupervisionLimits:
     noise_cycles            2011:0B; None: not known
     """
 
-    values: Mapping[Multiplexer, float]
+    values: Mapping[od.Multiplexer, float]
     full_scale_counts: int
     cycles_per_revolution: int
     coast_samples: int
@@ -108,7 +107,7 @@ class SupervisionLimits:
     def bounds(self, interval_s: float) -> Declared:
         return self.settings.bounds(self.cycles_per_revolution, interval_s, self.noise_cycles)
 
-    def changed(self, values: Mapping[Multiplexer, float]) -> SupervisionLimits:
+    def changed(self, values: Mapping[od.Multiplexer, float]) -> SupervisionLimits:
         return replace(self, values={**self.values, **values})
 
     def chain_limits(self, interval_s: float) -> ChainLimits:
@@ -133,14 +132,14 @@ WIDENING = {
 }
 
 
-def write_limits(module: NodeAccess, limits: Mapping[Multiplexer, float]) -> None:
+def write_limits(module: NodeAccess, limits: Mapping[od.Multiplexer, float]) -> None:
     """Write and read back; CommissioningError for a difference.
 
     First what lets more samples pass than before, then the corner, which changes the amplitude, then the
     rest: so the limits fit the amplitude at all times, and the lower one of it is below the upper one.
     """
 
-    def turn(place: Multiplexer) -> int:
+    def turn(place: od.Multiplexer) -> int:
         if place in WIDENING:
             more = limits[place] - module.read(*place, KINDS[place].layout)
             return 0 if WIDENING[place] * more > 0 else 2

@@ -13,7 +13,6 @@ from canfb.cia301 import cob
 from canfb.configuration import Config
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.module.parameters import factory_dictionary
-from canfb.objects import Multiplexer
 from canfb.view.module_view import (
     NOTHING_NARROWS,
     LimitSettings,
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from canfb.signal.correction import Correction
 
 # The objects of a module that are looked at, and their types as struct has them.
-VALUES: dict[Multiplexer, str] = {
+VALUES: dict[od.Multiplexer, str] = {
     od.POSITION_VALUE: "I",
     od.FEEDBACK_STATUS: "H",
     od.FEEDBACK_RESIDUAL: "H",
@@ -43,10 +42,10 @@ VALUES: dict[Multiplexer, str] = {
 }
 
 # The same, of the PDOs that it receives.
-INPUTS: dict[Multiplexer, str] = {od.SAMPLE_SINE: "h", od.SAMPLE_COSINE: "h"}
+INPUTS: dict[od.Multiplexer, str] = {od.SAMPLE_SINE: "h", od.SAMPLE_COSINE: "h"}
 
 # Values of a snapshot that depend on settings of the module: assumed unless all of these were read.
-NEEDED: dict[str, tuple[Multiplexer, ...]] = {
+NEEDED: dict[str, tuple[od.Multiplexer, ...]] = {
     "position_revolutions": (od.OPERATING_PARAMETERS, od.UNITS_PER_REVOLUTION),
     "velocity_rad_s": (od.OPERATING_PARAMETERS, od.UNITS_PER_REVOLUTION, od.TOTAL_RANGE),
     "residual_limit_cycles": (
@@ -69,7 +68,7 @@ class Origin(StrEnum):
     ASSUMED = "assumed"
 
 
-def known_values(pdo: Pdo, data: bytes, kinds: Mapping[Multiplexer, str]) -> dict[Multiplexer, Number]:
+def known_values(pdo: Pdo, data: bytes, kinds: Mapping[od.Multiplexer, str]) -> dict[od.Multiplexer, Number]:
     return {
         place: struct.unpack(f"<{kinds[place]}", part)[0]
         for place, part in pdo.values(data).items()
@@ -108,7 +107,7 @@ class ModuleReading:
     """What was read of a module; ``correction`` None: not asked for."""
 
     node_id: int
-    values: Mapping[Multiplexer, Number]
+    values: Mapping[od.Multiplexer, Number]
     layout: NodeLayout
     correction: Correction | None = None
 
@@ -116,7 +115,7 @@ class ModuleReading:
 def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
     """Of the module ``node_id`` (1..127)."""
 
-    def integer(place: Multiplexer, default: int) -> int:
+    def integer(place: od.Multiplexer, default: int) -> int:
         value = read(place)
         return default if value is None else int(value)
 
@@ -148,7 +147,7 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
     )
 
 
-def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[Multiplexer, str]) -> tuple[Pdo, ...]:
+def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[od.Multiplexer, str]) -> tuple[Pdo, ...]:
     found = valid_pdos(read, parameters, mapping)
     return tuple(pdo for pdo in found if known.keys() & pdo.values(bytes(pdo.length_bytes)).keys())
 

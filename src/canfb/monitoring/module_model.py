@@ -12,7 +12,6 @@ from itertools import pairwise
 from canfb import objects as od
 from canfb.monitoring.layout import INPUTS, VALUES, NodeLayout, known_values
 from canfb.monitoring.snapshot import LoadSnapshot, ModuleSnapshot, SyncSnapshot
-from canfb.objects import Multiplexer, PositionState, StatusBit
 from canfb.timing.syncs import Syncs
 from canfb.view.module_view import LIMIT_UNITS, Number, Pdo
 
@@ -129,14 +128,14 @@ class ModuleModel:
 
     def __init__(self, layout: NodeLayout) -> None:
         self.layout = layout
-        self._values: dict[Multiplexer, Number] = {}
-        self._times: dict[Multiplexer, float] = {}
+        self._values: dict[od.Multiplexer, Number] = {}
+        self._times: dict[od.Multiplexer, float] = {}
         self._history = Bins(HISTORY_BIN_S, HISTORY_BINS, max)
         self._tracks: deque[tuple[int, int]] = deque(maxlen=TRACKS)
         self._tracks_received = 0
         self._positions: deque[tuple[float, int]] = deque(maxlen=round(SPEED_S / STEP_S) + 1)
         self._counted = dict.fromkeys((*(od.COUNTERS[place] for place in od.COUNTED), LOST), 0)
-        self._state: PositionState | None = None
+        self._state: od.PositionState | None = None
         self._came_s: float | None = None
         self._fault_s: float | None = None
 
@@ -160,7 +159,7 @@ class ModuleModel:
             self._tracks.append((int(values[od.SAMPLE_SINE]), int(values[od.SAMPLE_COSINE])))
             self._tracks_received += 1
 
-    def put(self, place: Multiplexer, value: Number, now: float) -> None:
+    def put(self, place: od.Multiplexer, value: Number, now: float) -> None:
         """A value of :data:`.VALUES`, by PDO or SDO."""
         self._values[place], self._times[place] = value, now
 
@@ -169,13 +168,13 @@ class ModuleModel:
         before, self._state = self._state, od.position_state(status)
         for place, bits in od.COUNTED.items():
             self._counted[od.COUNTERS[place]] += bool(status & bits)
-        self._counted[LOST] += self._state is PositionState.LOST and before is not PositionState.LOST
-        if self._state is not PositionState.VALID:
+        self._counted[LOST] += self._state is od.PositionState.LOST and before is not od.PositionState.LOST
+        if self._state is not od.PositionState.VALID:
             self._fault_s = now
             self._positions.clear()
 
     def _follow(self, position: int, now: float) -> None:
-        known = self._state in (None, PositionState.VALID)
+        known = self._state in (None, od.PositionState.VALID)
         if known and (not self._positions or now - self._positions[-1][0] >= STEP_S):
             self._positions.append((now, position))
 
@@ -202,8 +201,8 @@ class ModuleModel:
             position_state=None if status is None else str(od.position_state(int(status))),
             status=None if status is None else int(status),
             faults=[] if status is None else od.fault_words(int(status)),
-            referenced=bool(int(status or 0) & StatusBit.REFERENCED),
-            table_active=bool(int(status or 0) & StatusBit.TABLE_ACTIVE),
+            referenced=bool(int(status or 0) & od.StatusBit.REFERENCED),
+            table_active=bool(int(status or 0) & od.StatusBit.TABLE_ACTIVE),
             table_crc32=None if crc32 is None else int(crc32),
             position_units=None if units is None else int(units),
             position_revolutions=units / per_revolution if units is not None and per_revolution else None,
@@ -223,7 +222,7 @@ class ModuleModel:
             tracks_counts=list(self._tracks),
             tracks_heard=self._tracks_received,
             seen=dict(self._counted),
-            lost_by=cause.text if cause is not None and self._state is PositionState.LOST else None,
+            lost_by=cause.text if cause is not None and self._state is od.PositionState.LOST else None,
             since_fault_s=_since(self._fault_s, now),
             counters={name: int(values[place]) for place, name in od.COUNTERS.items() if place in values},
             assumed=sorted(assumed),

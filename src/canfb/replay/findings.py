@@ -20,7 +20,6 @@ from canfb.calibration.recording import recording
 from canfb.calibration.result import BoolArray, drift
 from canfb.errors import CalibrationError
 from canfb.module.feedback_module import FeedbackModule
-from canfb.objects import StatusBit
 from canfb.signal.chain_config import ChainLimits
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray
@@ -130,15 +129,15 @@ def _limit_values(limits: ChainLimits) -> tuple[float, ...]:
 
 # Kinds of faults, and the bit of the status word that shows each.
 KINDS = {
-    "missed": StatusBit.MISSED,
-    "residual": StatusBit.RESIDUAL,
-    "amplitude": StatusBit.AMPLITUDE,
-    "clipped": StatusBit.CLIPPED,
-    "frozen": StatusBit.FROZEN,
-    "coarse": StatusBit.COARSE,
-    "second": StatusBit.SECOND_POSITION,
-    "coasting": StatusBit.COASTING,
-    "lost": StatusBit.LOST,
+    "missed": od.StatusBit.MISSED,
+    "residual": od.StatusBit.RESIDUAL,
+    "amplitude": od.StatusBit.AMPLITUDE,
+    "clipped": od.StatusBit.CLIPPED,
+    "frozen": od.StatusBit.FROZEN,
+    "coarse": od.StatusBit.COARSE,
+    "second": od.StatusBit.SECOND_POSITION,
+    "coasting": od.StatusBit.COASTING,
+    "lost": od.StatusBit.LOST,
 }
 MOST_LISTED = 1000  # Of each kind; all are counted.
 
@@ -230,19 +229,19 @@ class Margins:
 
     def take(self, block: Block) -> None:
         status = block["status"]
-        came = status & StatusBit.MISSED == 0
+        came = status & od.StatusBit.MISSED == 0
         if math.isnan(self.begin_cycles):
             turns = np.diff(block["raw_phase"][:BEGIN_SAMPLES])
             self.begin_cycles = float(np.nansum(np.abs((turns + 0.5) % 1.0 - 0.5)))
         # A residual over its limit is coasted over: it counts as well. Samples coasted for another reason
         # have none.
-        coasted = (status & StatusBit.COASTING != 0) & (status & StatusBit.RESIDUAL == 0)
-        compared = came & (status & StatusBit.LOST == 0) & ~coasted & (block["samples"] > 2)
+        coasted = (status & od.StatusBit.COASTING != 0) & (status & od.StatusBit.RESIDUAL == 0)
+        compared = came & (status & od.StatusBit.LOST == 0) & ~coasted & (block["samples"] > 2)
         self._look("residual", block, _where(compared, block["residual"]), block["residual_limit"])
         amplitude = _where(came, block["amplitude_counts"])
         self._look("amplitude_low", block, amplitude, block["amplitude_low_counts"])
         self._look("amplitude_high", block, amplitude, block["amplitude_high_counts"])
-        self._take_motion(block, status & StatusBit.VALID != 0)
+        self._take_motion(block, status & od.StatusBit.VALID != 0)
 
     def _take_motion(self, block: Block, valid: BoolArray) -> None:
         acceleration = _where(valid, np.abs(block["acceleration_cycles"]))
@@ -308,7 +307,7 @@ class DriftTracks:
         if sum(map(len, self._blocks)) < LEAST_SAMPLES:
             return LogDrift(reason="no motion" if not self._moved else "few samples")
         block = np.concatenate(self._blocks)
-        came = block["status"] & StatusBit.MISSED == 0
+        came = block["status"] & od.StatusBit.MISSED == 0
         sine, cosine = (_where(came, block[name]) for name in ("sine_counts", "cosine_counts"))
         hertz = block["speed_cycles"] / np.where(block["interval_s"] > 0.0, block["interval_s"], np.inf)
         delay_s = active.conditioning.cosine_delay_s
@@ -359,11 +358,11 @@ class Overview:
 
     def take(self, block: Block) -> None:
         columns = {name: block[name] for name in COLUMNS}
-        came = block["status"] & StatusBit.MISSED == 0
+        came = block["status"] & od.StatusBit.MISSED == 0
         columns["faulty"] = (block["status"] & FAULTY != 0).astype(np.float64)
         columns |= {name: _where(came, block[name]) for name in ("residual", "amplitude_counts")}
         rad, interval_s = _units(block)
-        valid = block["status"] & StatusBit.VALID != 0
+        valid = block["status"] & od.StatusBit.VALID != 0
         columns["speed_rad_s"] = _where(valid, block["speed_cycles"]) * rad / interval_s
         begins = np.arange(0, len(came), STRETCH_ROWS)
         for name, (column, how) in _KEPT.items():

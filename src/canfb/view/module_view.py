@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.objects import Multiplexer
 from canfb.signal.front_end import NO_LOW_PASS, Corners
 from canfb.signal.limits import (
     DOUBT_ACCELERATION,
@@ -24,13 +23,13 @@ from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 from canfb.signal.sample import TICK_S
 
 Number = int | float
-Read = Callable[[Multiplexer], Number | None]  # Gives the value of an object, None where it is not known.
+Read = Callable[[od.Multiplexer], Number | None]  # Gives the value of an object, None where it is not known.
 
 
 def values_of(find: Callable[[int, int], Any]) -> Read:
     """By the entries of a dictionary."""
 
-    def read(place: Multiplexer) -> Number | None:
+    def read(place: od.Multiplexer) -> Number | None:
         entry = find(*place)
         return None if entry is None else entry.value
 
@@ -40,8 +39,8 @@ def values_of(find: Callable[[int, int], Any]) -> Read:
 MOST_ENTRIES = 64  # above, sub-index 0 of a mapping stands for a multiplexed PDO
 
 
-def place_of(entry: int) -> Multiplexer:
-    return Multiplexer(entry >> 16, entry >> 8 & 0xFF)
+def place_of(entry: int) -> od.Multiplexer:
+    return od.Multiplexer(entry >> 16, entry >> 8 & 0xFF)
 
 
 class Pdo(NamedTuple):
@@ -55,7 +54,7 @@ class Pdo(NamedTuple):
     def length_bytes(self) -> int:
         return (sum(entry & 0xFF for entry in self.entries) + 7) // 8
 
-    def values(self, data: bytes) -> dict[Multiplexer, bytes]:
+    def values(self, data: bytes) -> dict[od.Multiplexer, bytes]:
         """The bytes of each object in a frame; none if it is too short."""
         if len(data) < self.length_bytes:
             return {}
@@ -80,11 +79,12 @@ class Pdo(NamedTuple):
 def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
     """The valid PDOs with 11-bit identifiers; ``parameters``, ``mapping``: indices of the first."""
     for number in range(len(cob.TPDOS)):
-        cob_id, count = read(Multiplexer(parameters + number, 1)), read(Multiplexer(mapping + number, 0))
+        cob_id = read(od.Multiplexer(parameters + number, 1))
+        count = read(od.Multiplexer(mapping + number))
         if cob_id is None or count is None or int(cob_id) & (cob.NOT_VALID | cob.EXTENDED):
             continue
         if count <= MOST_ENTRIES:
-            places = (Multiplexer(mapping + number, sub + 1) for sub in range(int(count)))
+            places = (od.Multiplexer(mapping + number, sub + 1) for sub in range(int(count)))
             entries = tuple(int(read(place) or 0) for place in places)
             yield Pdo(number + 1, int(cob_id) & cob.CAN_ID, entries)
 
