@@ -15,7 +15,7 @@ from canfb.cli.options import JSON, TIMEOUT, add_bus_options, bus_options, chose
 from canfb.cli.printing import shown_progress
 from canfb.configuration import Config
 from canfb.errors import ConfigError
-from canfb.master.access import Master, subscribed
+from canfb.master.access import subscribed
 from canfb.master.all_or_nothing import Guard
 from canfb.rows import Result
 
@@ -24,11 +24,9 @@ CONFIG = option("--config", metavar="CONFIG.yaml", help="takes the bus from this
 ACCESS = JSON, CONFIG, TIMEOUT, add_bus_options
 
 
-@contextlib.contextmanager
-def master_of(options: argparse.Namespace) -> Iterator[Master]:
+def master_of(options: argparse.Namespace) -> BusMaster:
     """A master on the bus of the options. ConfigError, BusError."""
-    with BusMaster(open_bus(chosen_bus(options)), options.timeout) as master:
-        yield master
+    return BusMaster(open_bus(chosen_bus(options)), options.timeout)
 
 
 @contextlib.contextmanager

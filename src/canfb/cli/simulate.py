@@ -7,7 +7,6 @@ from dataclasses import replace
 from math import inf
 from pathlib import Path
 
-from canfb.bus.opening import check_device_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import (
     COLUMNS,
@@ -109,7 +108,6 @@ def simulate(options: argparse.Namespace) -> int:
         raise ConfigError("CONFIG.yaml is required: its module and its simulation")
     config = load_config(options.config)
     words = bus_options(options, config.bus)
-    check_device_bus(words)
     record = None if options.record is None else check_record(options.record)
     simulating = Simulating(*chosen(options, config), words, config.realtime, options.seconds)
     network = simulating.network

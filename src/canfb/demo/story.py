@@ -18,7 +18,7 @@ from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.objects import OperatingParameter
+from canfb.objects import OperatingParameter, RecordingCommand
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Feedback, Sample
@@ -258,7 +258,6 @@ RUN_UP_SAMPLES = 2500
 TRACK_SAMPLES = 3000
 REFERENCE_SAMPLES = 20_000
 REFERENCE_HZ = 50_000
-RECORD, STOP = 1, 2  # 2050:01
 FAULT_SAMPLES = 80
 LOST_SAMPLE = 60
 FAULTS: dict[int, tuple[str, Fault]] = {
@@ -327,9 +326,9 @@ def _track(network: DemoNetwork, story: Story) -> None:
 def _calibrate(network: DemoNetwork, story: Story) -> None:
     recording = network.interface_master.sdo[0x2050]
     recording[4].raw = REFERENCE_HZ
-    recording[1].raw = RECORD
+    recording[1].raw = RecordingCommand.START
     network.run(round(REFERENCE_SAMPLES / REFERENCE_HZ / SYNC_PERIOD_S))
-    recording[1].raw = STOP
+    recording[1].raw = RecordingCommand.STOP
     counts = np.frombuffer(network.interface_master.sdo.upload(0x2050, 3), "<i2").reshape(-1, 2)
     story.calibration = calibrate_from_motion(counts[:, 0], counts[:, 1])
     table = story.calibration.table
