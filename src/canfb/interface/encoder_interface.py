@@ -72,11 +72,11 @@ LOCK_SYNCS = 4096  # that the clock of the interface is locked to
 EARLIER_PART = 1.0 / 16.0  # of the interval: so long before the nominal SYNC the newest sample is taken
 
 
-class SeveralSamples:
+class SyncSampler:
     """Gives ``per_sync`` samples, 1..8, of a machine or a recording for each SYNC, in one.
 
-    Those of a machine lie on a grid that is locked to SYNC, the newest one shortly before it, or at a SYNC
-    that is earlier. The first SYNC measures no interval, and has no samples.
+    One sample is that of the SYNC. Several of a machine lie on a grid that is locked to SYNC, the newest one
+    shortly before it, or at a SYNC that is earlier. The first SYNC measures no interval, and has none.
     """
 
     def __init__(self, source: Source, per_sync: int) -> None:
@@ -93,8 +93,10 @@ class SeveralSamples:
 
         What ``source`` raises.
         """
+        self.newest_s = received_s
+        if self._per_sync == 1:
+            return self._source.next() if self._machine is None else self._machine.sample_at(received_s)
         if self._machine is None:
-            self.newest_s = received_s
             return _together([self._source.next() for _ in range(self._per_sync)], None)
         last, self._last_s = self._last_s, received_s
         self._grid.take(received_s)
@@ -232,8 +234,7 @@ class FastRecorder:
         return b"".join(map(self._block, range(-(-count // BLOCK_SAMPLES))))[: 4 * count]
 
     def _block(self, number: int) -> bytes:
-        if self._source is None:
-            return b""
+        assert self._source is not None  # else nothing is recorded
         places = np.arange(number * BLOCK_SAMPLES, (number + 1) * BLOCK_SAMPLES)
         block = self._source.fast_samples(self._first_s + places / self._rate_hz, (self._number, number))
         return block.astype("<i2").tobytes()
@@ -306,11 +307,11 @@ class EncoderInterface(MachineNode):
         self.dictionary.entry(*od.INTERFACE_MACHINE).on_check = refuse_if(
             lambda value: True, AbortCode.DEVICE_STATE
         )
-        self._machine = source if isinstance(source, Machine) else None
         grouped = isinstance(source, Grouped) and source.samples_per_sync == samples_per_sync
-        several = samples_per_sync > 1 and not grouped
-        self._several = SeveralSamples(source, samples_per_sync) if several else None
-        self._watch = SourceWatch(self._ask, lambda text: self.on_source(text))
+        self._sampler = SyncSampler(source, 1 if grouped else samples_per_sync)
+        self._watch = SourceWatch(
+            lambda: self._sampler.at_sync(self.received_s), lambda text: self.on_source(text)
+        )
         self.samples = 0  # Samples sent.
         self.missed = 0  # SYNCs in OPERATIONAL for which the source had none, before its end.
         tpdos = numbers(self.dictionary, Direction.TRANSMIT)
@@ -338,21 +339,17 @@ class EncoderInterface(MachineNode):
                 self.trigger_tpdo(number, now)
         return FOLLOWED
 
-    def _ask(self) -> Sample | None:
-        if self._several is not None:
-            return self._several.at_sync(self.received_s)
-        return self.source.next() if self._machine is None else self._machine.sample_at(self.received_s)
-
     def _keep(self, sample: Sample) -> None:
         sine, cosine, _, invalid, coarse_sine, coarse_cosine, pulse, time_100ns, pairs = sample
-        taken_s = self.received_s if self._several is None else self._several.newest_s
         has_pulse = od.SampleFlag.ZERO_PULSE if pulse is not None else 0
         values = {
             od.INTERFACE_SINE: sine,
             od.INTERFACE_COSINE: cosine,
             od.INTERFACE_COARSE_SINE: coarse_sine,
             od.INTERFACE_COARSE_COSINE: coarse_cosine,
-            od.INTERFACE_SAMPLE_TIME: self._clock.ticks(taken_s) if time_100ns is None else time_100ns,
+            od.INTERFACE_SAMPLE_TIME: self._clock.ticks(self._sampler.newest_s)
+            if time_100ns is None
+            else time_100ns,
             od.INTERFACE_FLAGS: has_pulse | (od.SampleFlag.INVALID if invalid else 0),
             od.INTERFACE_ZERO_PULSE_PLACE: None if pulse is None else min(int(pulse * PLACES), PLACES - 1),
         }
