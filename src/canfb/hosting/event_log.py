@@ -12,7 +12,6 @@ from typing import Any
 from canfb import objects as od
 from canfb.bus.clocks import local_time
 from canfb.cia301.datatypes import encode
-from canfb.device.core import NEVER
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.node import NodeDevice
 from canfb.module.events import DETAILS, Event, NodeEvents
@@ -45,11 +44,9 @@ class Throttle:
 
     def __init__(self) -> None:
         self._windows: dict[Hashable, _Window] = {}
-        self._due_s = NEVER
 
     def admits(self, key: Hashable, item: Any, now: float) -> bool:
         window = self._windows.setdefault(key, _Window(now))
-        self._due_s = min(self._due_s, window.ends_s)
         if window.passed < BURST:
             window.passed += 1
             return True
@@ -59,8 +56,6 @@ class Throttle:
 
     def ended(self, now: float, *, closing: bool = False) -> list[Held]:
         """What was held back in windows that are over; ``closing``: in all."""
-        if now < self._due_s and not closing:
-            return []
         found = []
         for key, window in list(self._windows.items()):
             if closing or now >= window.ends_s:
@@ -70,7 +65,6 @@ class Throttle:
                     if not closing:
                         length_s = min(2.0 * window.length_s, LONGEST_WINDOW_S)
                         self._windows[key] = _Window(now, length_s, BURST)
-        self._due_s = min((window.ends_s for window in self._windows.values()), default=NEVER)
         return found
 
 
