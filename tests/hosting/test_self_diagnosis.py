@@ -72,7 +72,7 @@ class Stepped:
     def __init__(self, folder: Path) -> None:
         config = parse_config("modules: [{node_id: 32}]")
         hosting = Hosting(config, {"interface": "virtual", "channel": "stepped"})
-        self.diagnosis = SelfDiagnosis(config, {}, hosting._bus_counters, folder)
+        self.diagnosis = SelfDiagnosis(config, {}, hosting._entered, folder)
         with hosting:
             self.nodes = list(hosting.modules)
 

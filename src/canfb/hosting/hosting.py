@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from canfb.bus.dispatch import BusCounters
 from canfb.bus.opening import check_device_bus, check_words, describe
 from canfb.bus.runner import DeviceFailure
 from canfb.configuration import Config, NodeConfig, RealtimeConfig, line_of
@@ -101,7 +100,7 @@ class Hosting(OnBus):
         self._looked_s = 0.0
         folders = [Path(one.state_dir) for _, _, one in config.nodes if one.state_dir is not None]
         folder = folders[0] if folders else Path(tempfile.gettempdir())
-        self._diagnosis = SelfDiagnosis(config, self.words, self._bus_counters, folder)
+        self._diagnosis = SelfDiagnosis(config, self.words, self._entered, folder)
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         resources.enter_context(self._diagnosis.keeping_the_log())
@@ -142,9 +141,6 @@ class Hosting(OnBus):
         self._alive(now)
         self._diagnosis.step(self._nodes)
         super()._meanwhile(now)
-
-    def _bus_counters(self) -> BusCounters:
-        return BusCounters() if self._runner is None else self._runner.counters
 
     def diagnose(self) -> None:
         self._diagnosis.request()

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from canfb.bus.clocks import date_and_time
-from canfb.bus.runner import on_signals
+from canfb.bus.runner import Runner, on_signals
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.configuration import Config
@@ -139,9 +139,9 @@ class SelfDiagnosis:
     """
 
     def __init__(
-        self, config: Config, words: Mapping[str, Any], counters: Callable[[], Any], folder: Path
+        self, config: Config, words: Mapping[str, Any], runner: Callable[[], Runner], folder: Path
     ) -> None:
-        self._config, self._words, self._counters, self._folder = config, words, counters, folder
+        self._config, self._words, self._runner, self._folder = config, words, runner, folder
         self._kept = KeptLines()
         self._requested = False
         self._working: Iterator[None] = iter(())
@@ -176,7 +176,7 @@ class SelfDiagnosis:
     def _work(self, nodes: Sequence[NodeDevice]) -> Iterator[None]:
         yield from self._collect(nodes)
         thread = self._writing = threading.Thread(
-            target=self._write, args=(self._counters(),), name="canfb-diagnose", daemon=True
+            target=self._write, args=(self._runner().counters,), name="canfb-diagnose", daemon=True
         )
         with small_stack():
             thread.start()
