@@ -321,13 +321,6 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
     mapped = mapped_objects(module.read_known)
     tolerance = module.read_known(od.SECOND_TOLERANCE) or 0.0
     loss = _read_loss(module)
-    settings = {
-        "losses": int(module.read_known(od.COUNTER_LOST) or 0),
-        "missed": int(module.read_known(od.COUNTER_MISSED) or 0),
-        "missed_syncs": int(module.read_known(od.COUNTER_SYNCS_NOT_HEARD) or 0),
-        "cycles_per_revolution": module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
-        "coast_samples": module.integer(*od.SUPERVISION_COAST, "B"),
-    }
     master.wait(max(0.0, began + RATE_S - master.now()))
     samples = module.integer(*od.FEEDBACK_SAMPLES, "I") - first & 0xFFFFFFFF
     sample_hz = samples / (master.now() - began) if samples > 1 else 0.0
@@ -335,12 +328,16 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
         module.node_id,
         status,
         loss,
+        losses=int(module.read_known(od.COUNTER_LOST) or 0),
+        missed=int(module.read_known(od.COUNTER_MISSED) or 0),
+        missed_syncs=int(module.read_known(od.COUNTER_SYNCS_NOT_HEARD) or 0),
         sample_hz=sample_hz,
+        cycles_per_revolution=module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
+        coast_samples=module.integer(*od.SUPERVISION_COAST, "B"),
         coarse=od.SAMPLE_COARSE_SINE.mapped(16) in mapped and od.SAMPLE_COARSE_COSINE.mapped(16) in mapped,
         zero_pulse=od.SAMPLE_FLAGS.mapped(8) in mapped,
         second=od.SAMPLE_SECOND_POSITION.mapped(32) in mapped and tolerance > 0.0,
         limits=limit_settings(module.read_known),
-        **settings,
     )
 
 
