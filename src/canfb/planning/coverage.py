@@ -19,8 +19,21 @@ import numpy.typing as npt
 from canfb import objects as od
 from canfb.planning.plan import ResidualBudget
 from canfb.signal.bounded_motion import ORDER
-from canfb.simulation import faults
-from canfb.simulation.faults import Fault, Rng, Samples, Signal
+from canfb.simulation.faults import (
+    Fault,
+    Rng,
+    Samples,
+    Signal,
+    frozen_samples,
+    inverted_tracks,
+    joined_tracks,
+    open_track,
+    oscillation,
+    shorted_track,
+    stuck_track,
+    swapped_tracks,
+    track_drift,
+)
 from canfb.view.module_view import mapped_objects
 
 CASES = 400  # of each fault
@@ -201,36 +214,34 @@ def _ramp(rng: Rng) -> int:
 def _drift(rng: Rng, what: str, size: float) -> Fault:
     ramp = _ramp(rng)
     track = "sine" if _one(rng) is Signal.SINE else "cosine"
-    return faults.track_drift(**{f"{track}_{what}": size}, ramp_samples=ramp)
+    return track_drift(**{f"{track}_{what}": size}, ramp_samples=ramp)
 
 
 def _oscillation(rng: Rng, nominal: float) -> Fault:
     signal = (Signal.SINE, Signal.COSINE, Signal.BOTH)[int(rng.integers(3))]
     size, rate = float(rng.uniform(0.1, 1.2)) * nominal, float(rng.uniform(0.0, 0.5))
-    return faults.oscillation(signal, size, rate, float(rng.uniform(0.0, 2.0 * math.pi)))
+    return oscillation(signal, size, rate, float(rng.uniform(0.0, 2.0 * math.pi)))
 
 
 # By name: draws one of given nominal amplitude, counts. None: not in the tracks.
 KINDS: dict[str, Callable[[Rng, float], Fault] | None] = {
-    "one track open": lambda rng, nominal: faults.open_track(_one(rng), float(rng.uniform(0.0, 5.0))),
-    "both open": lambda rng, nominal: faults.open_track(Signal.BOTH, float(rng.uniform(0.0, 5.0))),
-    "short to a supply": lambda rng, nominal: faults.shorted_track(_one(rng), bool(rng.uniform() < 0.5)),
-    "tracks joined": lambda rng, nominal: faults.joined_tracks(),
-    "stuck at a value": lambda rng, nominal: faults.stuck_track(
-        _one(rng), float(rng.uniform(-nominal, nominal))
-    ),
-    "stuck at the last value": lambda rng, nominal: faults.stuck_track(_one(rng)),
-    "frozen": lambda rng, nominal: faults.frozen_samples(),
+    "one track open": lambda rng, nominal: open_track(_one(rng), float(rng.uniform(0.0, 5.0))),
+    "both open": lambda rng, nominal: open_track(Signal.BOTH, float(rng.uniform(0.0, 5.0))),
+    "short to a supply": lambda rng, nominal: shorted_track(_one(rng), bool(rng.uniform() < 0.5)),
+    "tracks joined": lambda rng, nominal: joined_tracks(),
+    "stuck at a value": lambda rng, nominal: stuck_track(_one(rng), float(rng.uniform(-nominal, nominal))),
+    "stuck at the last value": lambda rng, nominal: stuck_track(_one(rng)),
+    "frozen": lambda rng, nominal: frozen_samples(),
     "offset drift": lambda rng, nominal: _drift(
         rng, "offset", float(rng.uniform(0.3, 1.5)) * nominal * _sign(rng)
     ),
     "gain drift": lambda rng, nominal: _drift(rng, "gain", float(rng.uniform(-0.2, 1.4))),
-    "phase drift": lambda rng, nominal: faults.track_drift(
+    "phase drift": lambda rng, nominal: track_drift(
         phase_rad=float(rng.uniform(0.1, 1.0)) * math.pi * _sign(rng), ramp_samples=_ramp(rng)
     ),
     "oscillation": _oscillation,
-    "tracks swapped": lambda rng, nominal: faults.swapped_tracks(),
-    "one track inverted": lambda rng, nominal: faults.inverted_tracks(_one(rng)),
-    "both inverted": lambda rng, nominal: faults.inverted_tracks(Signal.BOTH),
+    "tracks swapped": lambda rng, nominal: swapped_tracks(),
+    "one track inverted": lambda rng, nominal: inverted_tracks(_one(rng)),
+    "both inverted": lambda rng, nominal: inverted_tracks(Signal.BOTH),
     "coupling lost": None,
 }
