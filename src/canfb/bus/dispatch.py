@@ -63,29 +63,16 @@ class Dispatch:
         self.everyone = tuple(port for port in self.ports if not port.moved)
         self._bus = bus
         self._accepts_all = bool(self.everyone)
-        self._earliest_s = NEVER
-        self._stale = True
         for port in self.ports:
             if isinstance(port.device, Selective):
                 port.device.follow_can_ids(partial(self._has_moved, port))
 
     def due_s(self) -> float:
-        if self._stale:
-            self._stale = False
-            self._earliest_s = min([port.due_s for port in self.ports], default=NEVER)
-        return self._earliest_s
+        return min([port.due_s for port in self.ports], default=NEVER)
 
     def called(self, port: Port) -> None:
         due_s = port.deadline()
-        deadline_s = NEVER if due_s is None else due_s
-        before_s = port.due_s
-        if deadline_s == before_s:
-            return
-        port.due_s = deadline_s
-        if deadline_s < self._earliest_s:
-            self._earliest_s = deadline_s
-        elif before_s <= self._earliest_s:
-            self._stale = True
+        port.due_s = NEVER if due_s is None else due_s
 
     def listeners(self, frame: Frame) -> Ports:
         return (self.remote if frame.rtr else self.data).get(frame.can_id, self.everyone)
