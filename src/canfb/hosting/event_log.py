@@ -34,10 +34,6 @@ class _Window:
     held: int = 0
     last: Any = None
 
-    @property
-    def ends_s(self) -> float:
-        return self.began_s + self.length_s
-
 
 class Throttle:
     """Lets BURST items of a key pass in a window of WINDOW_S to LONGEST_WINDOW_S, counts the rest."""
@@ -58,7 +54,7 @@ class Throttle:
         """What was held back in windows that are over; ``closing``: in all."""
         found = []
         for key, window in list(self._windows.items()):
-            if closing or now >= window.ends_s:
+            if closing or now - window.began_s >= window.length_s:
                 del self._windows[key]
                 if window.held:
                     found.append((window.held, now - window.began_s, window.last))
