@@ -85,20 +85,17 @@ class SampleColumns:
         self._takers, self._earlier_takers = takers, earlier_takers
         entry = module.dictionary.entry
         self._entries = [entry(*place) for place in (od.POSITION_VALUE, od.SAMPLE_SINE, od.SAMPLE_COSINE)]
-        self._limits: ChainLimits | None = None
         self._collected: list[tuple[Any, ...]] = []
         self._earlier: list[tuple[Any, ...]] = []
 
     def take(self, feedback: Feedback, now: float) -> None:
         module = self._module
-        if module.limits is not self._limits:
-            self._limits = module.limits
-            self._limit_values = _limit_values(module.limits)
         position, sine, cosine = self._entries
+        limits = _limit_values(module.limits)
         before = (now + self.origin_s, position.value, sine.value, cosine.value, module.interval_s)
-        self._collected.append((*before, *_stages(feedback), *self._limit_values))
+        self._collected.append((*before, *_stages(feedback), *limits))
         for one in module.chain.between:
-            self._earlier.append((*before, *_stages(one), *self._limit_values))
+            self._earlier.append((*before, *_stages(one), *limits))
         if len(self._collected) == BLOCK_ROWS:
             self.flush()
 
@@ -296,16 +293,15 @@ class DriftTracks:
 
     def __init__(self) -> None:
         self._blocks: list[Block] = []
-        self._moved = False
 
     def take(self, block: Block) -> None:
-        self._moved = self._moved or bool(np.ptp(block["cycles"]) > 1)
-        if self._moved and len(self._blocks) * BLOCK_ROWS < MOST_MEASURED:
+        moved = self._blocks or np.ptp(block["cycles"]) > 1
+        if moved and len(self._blocks) * BLOCK_ROWS < MOST_MEASURED:
             self._blocks.append(block)
 
     def drift(self, active: Correction, adc_bits: int) -> LogDrift:
         if sum(map(len, self._blocks)) < LEAST_SAMPLES:
-            return LogDrift(reason="no motion" if not self._moved else "few samples")
+            return LogDrift(reason="few samples" if self._blocks else "no motion")
         block = np.concatenate(self._blocks)
         came = block["status"] & od.StatusBit.MISSED == 0
         sine, cosine = (_where(came, block[name]) for name in ("sine_counts", "cosine_counts"))
