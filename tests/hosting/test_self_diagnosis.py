@@ -32,7 +32,7 @@ def served(serving: Hosting, folder: Path, ask: Callable[[], None]) -> dict[str,
             serving.stop()
         assert time.monotonic() < end, "no diagnosis"
 
-    with serving, diagnosing_on_signal(serving.diagnose):
+    with serving, diagnosing_on_signal(serving.diagnosis.request):
         serving.run(ask, alive)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     text = path.read_text(encoding="utf-8")

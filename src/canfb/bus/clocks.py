@@ -14,9 +14,7 @@ from math import inf, isfinite
 
 from canfb.errors import ConfigError
 
-
-def now_s() -> float:
-    return time.monotonic()
+now_s = time.monotonic
 
 
 def date_and_time() -> str:

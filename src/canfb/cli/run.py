@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
         Readiness(options.ready_file) as readiness,
         serving,
         ending_on_signals(serving.stop),
-        diagnosing_on_signal(serving.diagnose),
+        diagnosing_on_signal(serving.diagnosis.request),
     ):
         serving.run(readiness.ready, readiness.alive)
     return 0

@@ -94,16 +94,14 @@ class Hosting(OnBus):
     ) -> None:
         super().__init__(config.bus if words is None else words, config.realtime)
         self.config = config
-        self._nodes: list[FeedbackModule | EncoderInterface] = []
         self._events = EventLog(verbose)
-        self._alive: Callable[[float], None] = lambda now: None
         self._looked_s = 0.0
         folders = [Path(one.state_dir) for _, _, one in config.nodes if one.state_dir is not None]
         folder = folders[0] if folders else Path(tempfile.gettempdir())
-        self._diagnosis = SelfDiagnosis(config, self.words, self._entered, folder)
+        self.diagnosis = SelfDiagnosis(config, self.words, self._entered, folder)
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
-        resources.enter_context(self._diagnosis.keeping_the_log())
+        resources.enter_context(self.diagnosis.keeping_the_log())
         config = self.config
         self.modules = [make_module(one, resources, self.words, config) for one in config.modules]
         self.interfaces = [make_interface(one, resources, self.words, config) for one in config.interfaces]
@@ -112,7 +110,7 @@ class Hosting(OnBus):
         for interface in self.interfaces:
             interface.observer = events = NodeEvents()
             self._events.watch(interface, events)
-        self._nodes = [*self.modules, *self.interfaces]
+        self._nodes: list[FeedbackModule | EncoderInterface] = [*self.modules, *self.interfaces]
         return list(self._nodes)
 
     def _at_start(self) -> list[str]:
@@ -139,11 +137,8 @@ class Hosting(OnBus):
         self._looked_s = now
         self._events.tick(now)
         self._alive(now)
-        self._diagnosis.step(self._nodes)
+        self.diagnosis.step(self._nodes)
         super()._meanwhile(now)
-
-    def diagnose(self) -> None:
-        self._diagnosis.request()
 
     def run(
         self,

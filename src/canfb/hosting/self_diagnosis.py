@@ -146,8 +146,6 @@ class SelfDiagnosis:
         self._requested = False
         self._working: Iterator[None] = iter(())
         self._writing: threading.Thread | None = None
-        self._nodes: list[dict[str, Any]] = []
-        self._outcome = ""
 
     @contextlib.contextmanager
     def keeping_the_log(self) -> Iterator[None]:
@@ -187,7 +185,7 @@ class SelfDiagnosis:
         log.info(self._outcome)
 
     def _collect(self, nodes: Sequence[NodeDevice]) -> Iterator[None]:
-        self._nodes = []
+        self._nodes: list[dict[str, Any]] = []
         for node in nodes:
             objects: dict[str, Any] = {}
             self._nodes.append(

@@ -35,7 +35,6 @@ class OnBus(ABC):
         check_device_bus(self.words)
         self._realtime = realtime
         self._runner: Runner | None = None
-        self._resources = contextlib.ExitStack()
         self._log_handlers = logging.getLogger("canfb").handlers
 
     @abstractmethod

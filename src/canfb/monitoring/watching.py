@@ -111,7 +111,6 @@ class Watching:
         self._model, self._show, self._interval_s = model, show, 1.0 / rate_hz
         self._reader = reader or MessageReader()
         self._readings: deque[ModuleReading] = deque()
-        self._due_s = 0.0
         self.latest: BusSnapshot | None = None
         self.stop = self._reader.stop
 

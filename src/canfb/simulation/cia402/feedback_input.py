@@ -43,7 +43,6 @@ class FeedbackInput:
         self._wrong, self._used, self._missed = (entry(0x2111, sub) for sub in (1, 2, 3))
         entry(0x2110, 4)  # the residual: there to be read
         self.position = 0  # Increments of the feedback, unwrapped.
-        self.speed = 0.0  # Revolutions per second, the mean over the last interval, in true time.
         self.reset()
 
     @property
@@ -61,7 +60,7 @@ class FeedbackInput:
         self._since_pdo = 0  # SYNCs since the last PDO
         self._open = 0  # SYNCs whose positions have not come, since the last one that was used
         self._syncs: list[float] = [math.nan]  # times of that one and of the open ones, the last 256
-        self.speed = 0.0
+        self.speed = 0.0  # Revolutions per second, the mean over the last interval, in true time.
 
     @property
     def increments_per_revolution(self) -> float:
