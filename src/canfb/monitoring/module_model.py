@@ -230,8 +230,7 @@ class ModuleModel:
 
     def _measured_velocity(self, now: float) -> float | None:
         measured = self._values.get(od.FEEDBACK_VELOCITY)
-        fresh = measured is not None and now - self._times[od.FEEDBACK_VELOCITY] <= FRESH_S
-        if measured is None or not fresh:
+        if measured is None or now - self._times[od.FEEDBACK_VELOCITY] > FRESH_S:
             return None
         return -float(measured) if self.layout.reversed else float(measured)
 

@@ -326,10 +326,7 @@ class TableTasks:
         at most a staged table is left then.
         """
         before, table = read_active(self._module), file.used.table
-        if table is None:
-            raise CommissioningError(
-                f"{file.path}: it has no table; canfb table clear goes back to the identity"
-            )
+        assert table is not None  # every table file has one
         new, notes = file.for_module(before.conditioning), self._other_settings(file)
         if active:
             self._check_amplitude(before.conditioning, new.conditioning, force)

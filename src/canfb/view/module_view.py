@@ -220,8 +220,6 @@ class LimitSettings:
         sync_s = 1.0 / sync_hz if sync_hz else self.cycle_period_s
         interval_s = sync_s / self.samples_per_sync
         limit = self.bounds(cycles_per_revolution, interval_s, noise_cycles).residual_limit
-        if not interval_s:
-            return limit
         if self.timed and velocity_rad_s:
             cycles_per_s = abs(velocity_rad_s) * cycles_per_revolution / (2.0 * math.pi)
             limit += 4.0 * cycles_per_s * (TICK_S / 2.0)  # all phases off by half a tick
