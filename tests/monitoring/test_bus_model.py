@@ -14,7 +14,6 @@ import pytest
 from hypothesis import given, strategies as st
 
 from canfb import objects as od
-from canfb.bus.frame_bus import EXTENDED
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.configuration import Config
 from canfb.module.feedback_module import FeedbackModule
@@ -215,7 +214,7 @@ def test_no_frame_raises(frames: list[tuple[int, bytes, bool, float]]) -> None:
     for can_id, data, rtr, step in frames:
         now += step
         model.receive(Frame(can_id, data, rtr), now)
-        model.receive(Frame(EXTENDED | 0x123, data), now)
+        model.receive(Frame(0x8000_0123, data), now)  # of 29 bits
         json.dumps(model.snapshot(now).to_json(), allow_nan=False)
 
 

@@ -289,7 +289,7 @@ class CalibrationRun:
     def _judged(self, samples: TrackSamples, act: Callable[[], Made]) -> Made:
         self._steps.step(f"calculating from {len(samples)} samples")
         try:
-            found = act()
+            return act()
         except CalibrationError as error:
             if out := self._choices.out:
                 write_refusal(out, samples, error, self._where, self._limits)
@@ -299,7 +299,6 @@ class CalibrationRun:
             raise CanfbError(f"{samples.origin}: {error}") from error
         finally:
             self._steps.clear()
-        return found
 
 
 NEAR_PART = 0.1  # of a speed: it is this one
