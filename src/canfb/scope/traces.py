@@ -101,8 +101,7 @@ class ModuleTraces:
         self._received = module.tracks_heard
         if new < 0:
             self._samples.clear()
-            new = len(module.tracks_counts)
-        if new > len(module.tracks_counts):
+        if not 0 <= new <= len(module.tracks_counts):
             self._place += GAP_SAMPLES
             new = len(module.tracks_counts)
         for sine, cosine in module.tracks_counts[len(module.tracks_counts) - new :]:

@@ -167,9 +167,7 @@ def of_recording(
 
 
 def rounded_up(rate_hz: float) -> str:
-    """A rate not below this one, in two or three figures."""
-    if rate_hz <= 0.0:
-        return "0"
+    """A rate not below this one, which is above 0, in two or three figures."""
     unit = 10.0 ** (math.floor(math.log10(rate_hz)) - 1)
     return f"{math.ceil(rate_hz / unit - 1e-9) * unit:g}"
 

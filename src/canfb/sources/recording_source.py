@@ -84,8 +84,7 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
 
     def check_machine(self) -> None:
         try:
-            with Path(self.file).open("rb"):
-                pass
+            Path(self.file).open("rb").close()
         except OSError as error:
             raise ConfigError(f"file {Path(self.file)} of source cannot be read: {error.strerror}") from None
 
