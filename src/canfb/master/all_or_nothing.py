@@ -245,10 +245,9 @@ def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: 
                 act()
             return
         except CanfbError as error:
-            if attempt < ATTEMPTS - 1:
-                continue
-            saved = EITHER if saving else "what is saved in it"
-            raise CommissioningError(
-                f"{what} could not be put back ({error}): switch {module.name} off and on, which brings back "
-                f"{saved}"
-            ) from error
+            failure = error
+    saved = EITHER if saving else "what is saved in it"
+    raise CommissioningError(
+        f"{what} could not be put back ({failure}): switch {module.name} off and on, which brings back "
+        f"{saved}"
+    ) from failure
