@@ -194,7 +194,7 @@ def settings_of(options: argparse.Namespace) -> ReplayOptions:
     refuse_idle(options, *(OF_A_FILE if folder else OF_A_FOLDER))
     return ReplayOptions(
         modules=tuple(_modules(options)),
-        correction=None if options.table is None else read_table(options.table).used,
+        correction=None if options.table is None else read_table(Path(options.table)).used,
         state_dir=options.state,
         begin=Begin(options.begin),
         channel=options.channel,

@@ -76,7 +76,7 @@ def show(options: argparse.Namespace) -> int:
     except argparse.ArgumentTypeError:
         if not Path(options.what).exists():
             raise ConfigError(f"{options.what}: neither a node-ID (1 to 127) nor a file") from None
-        file = read_table(options.what)
+        file = read_table(Path(options.what))
         state = TableState(options.what, file.used, file.cycles_per_revolution, in_file=True)
     else:
         with node_options.master_of(options) as master:

@@ -205,7 +205,6 @@ def _dumped(content: Any, **options: Any) -> str:
 
 
 STORES = (od.STORE_ALL_PARAMETERS,)
-LEFT_ALONE = (od.TABLE_STAGED,)  # compared by the CRC of the active table
 MOST_SHOWN = 40
 
 
@@ -323,7 +322,8 @@ def _write(module: NodeAccess, configured: Configured) -> None:
 def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, Any]]:
     """The objects that differ; None for a missing one."""
     values, others = one.values(), other.values()
-    places = sorted((values.keys() | others.keys()) - set(LEFT_ALONE))
+    # The staged table is compared by the CRC of the active one.
+    places = sorted((values.keys() | others.keys()) - {od.TABLE_STAGED})
     pairs = {place: (values.get(place), others.get(place)) for place in places}
     # Two NaN are the same.
     return {place: (one, to) for place, (one, to) in pairs.items() if one != to and (one == one or to == to)}

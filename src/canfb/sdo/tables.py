@@ -118,9 +118,8 @@ class TableFile:
         return Correction(self.used.table, self.used.conditioning.with_delays_of(active))
 
 
-def read_table(path: str | Path) -> TableFile:
+def read_table(path: Path) -> TableFile:
     """CommissioningError for no table file."""
-    path = Path(path)
     data = read_bytes(path, CommissioningError)
     try:
         if is_yaml(path):
