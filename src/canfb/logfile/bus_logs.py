@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import can
-from can.io.generic import MessageWriter
 
 from canfb.bus.frame_bus import ERROR, Reception, brings_own_frames_back, flagged_id
 from canfb.cia301.frame import HIGHEST_ID, Frame
@@ -364,11 +363,10 @@ class BusLog:
             raise ConfigError(f"{path}: is there already; take another name, or --force")
 
     def __enter__(self) -> Self:
-        options: dict[str, Any] = {"max_bytes": self._max_bytes} if self._max_bytes else {}
-        writer: Callable[..., MessageWriter] = can.SizedRotatingLogger if self._max_bytes else can.Logger
+        name, most = str(self.place), self._max_bytes
         try:
             with writing(self.path):
-                self._writer = writer(str(self.place), **options)
+                self._writer = can.SizedRotatingLogger(name, max_bytes=most) if most else can.Logger(name)
         except (NotImplementedError, ImportError) as error:
             raise CanfbError(f"{self.path}: {NEEDS_PACKAGE}") from error
         return self
