@@ -315,8 +315,7 @@ def _start_network(network: DemoNetwork, story: Story) -> None:
 
 
 def _track(network: DemoNetwork, story: Story) -> None:
-    network.run(RUN_UP_SAMPLES)
-    network.run(TRACK_SAMPLES)
+    network.run(RUN_UP_SAMPLES + TRACK_SAMPLES)
     truth = network.source.truth_cycles
     story.cycles_per_sample = (truth[-1] - truth[-TRACK_SAMPLES]) / (TRACK_SAMPLES - 1)
     story.error_before, story.phase_before = _error(network, RUN_UP_SAMPLES, RUN_UP_SAMPLES + TRACK_SAMPLES)

@@ -163,12 +163,14 @@ class Page:
         if len(shown) < len(modules):
             more = f"... and {len(modules) - len(shown)} more: make the window higher"
             body.append(self._text(more, "faint"))
-        found = [(one.age_s, node.node_id, one) for node, _ in modules for one in node.emergencies]
-        found.sort(key=lambda entry: entry[0])
+        found = sorted(
+            ((node.node_id, one) for node, _ in modules for one in node.emergencies),
+            key=lambda entry: entry[1].age_s,
+        )
         left = room - len(body) - len(shown) - 1
         if left > 1 and found:
             body.append(self._text("EMCY", "faint"))
-            for _, node_id, one in found[: left - 1]:
+            for node_id, one in found[: left - 1]:
                 text, tone = lines.emergency_part(one)
                 body.append(self._text(f"  node {node_id:<3}  {text}", tone))
         return body
