@@ -215,10 +215,6 @@ class ServoRun:
         }
 
 
-def servo_move(encoder: Encoder, correction: Correction, seed: int) -> list[ServoRun]:
-    return [_run(encoder, correction, seed, way) for way in WAYS]
-
-
 def _run(encoder: Encoder, correction: Correction, seed: int, samples_per_sync: int) -> ServoRun:
     """The zero of the count is where the module started: in the cycle in which it stood."""
     move = SCurve(RPM * 2.0 * math.pi / 60.0, ACCELERATION_RAD_S2, JERK_RAD_S3, AT_REST_S)
@@ -389,7 +385,8 @@ def _finish(network: DemoNetwork, story: Story) -> None:
 
 
 def _move_servo(network: DemoNetwork, story: Story) -> None:
-    story.servo = servo_move(network.encoder, network.module.chain.correction, network.seed)
+    correction = network.module.chain.correction
+    story.servo = [_run(network.encoder, correction, network.seed, way) for way in WAYS]
     two_samples = story.servo[0]
     story.checks |= {
         "servo move counted exactly": two_samples.exact,
