@@ -35,7 +35,7 @@ Show = Callable[[BusSnapshot], None]
 class MessageReader:
     """Reads frames of any kind until :meth:`stop`, or for ``seconds``.
 
-    ``report`` gets a line when an interface goes or comes (:class:`.Reception`). ``clock``, ``wall`` and
+    The log gets a line when an interface goes or comes (:class:`.Reception`). ``clock``, ``wall`` and
     ``sleep``: for tests.
     """
 
@@ -45,10 +45,8 @@ class MessageReader:
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
         sleep: Callable[[float], None] = time.sleep,
-        report: Callable[[str], None] = log.warning,
     ) -> None:
         self._seconds, self.clock, self._wall, self.sleep = seconds, clock, wall, sleep
-        self._report = report
         self.stopped = threading.Event()
         self.stop = self.stopped.set
 
@@ -57,7 +55,7 @@ class MessageReader:
     ) -> Iterator[tuple[float, Frame | None]]:
         """Seconds since the beginning and each frame, None while none comes and at ``due``. BusError."""
         times = ReceiveTimes(self.clock, self._wall)
-        reception = Reception(bus, self._report, self.clock, self.sleep)
+        reception = Reception(bus, log.warning, self.clock, self.sleep)
         began = now = self.clock()
         while not self.stopped.is_set() and (self._seconds is None or now - began < self._seconds):
             message = reception.receive(min(LONGEST_WAIT_S, max(LEAST_WAIT_S, due() - (now - began))))
@@ -82,7 +80,7 @@ class MessageReader:
             yield stamp - began, frame
         if began is None:
             raise LogError(f"{path}: there is no frame in it")
-        log_file.check_end(self._report)
+        log_file.check_end(log.warning)
 
 
 def classic(frames: Iterable[tuple[float, Frame | None]]) -> Iterator[tuple[float, Frame]]:
