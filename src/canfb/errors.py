@@ -28,7 +28,7 @@ class CalibrationError(CanfbError):
                   only, if there is one; else None
     """
 
-    def __init__(self, message: str, reason: str, calibration: Any = None) -> None:
+    def __init__(self, message: str, reason: str = "", calibration: Any = None) -> None:
         super().__init__(message)
         self.reason = reason
         self.calibration = calibration

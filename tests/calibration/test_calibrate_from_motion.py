@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -117,8 +118,9 @@ def test_missed_samples_are_left_out(part):
     marked = calibrate_from_motion(np.where(valid, sine, -5), np.where(valid, cosine, 0), valid=valid)
     _check(marked, encoder, 0.003 * PERCENT)
     assert marked.samples_used <= valid.sum()
-    empty = calibrate_from_motion(np.where(valid, sine, np.nan), cosine)
-    assert empty.table == marked.table
+    masked = np.ma.array(np.where(valid, sine, 999.0), mask=~valid)
+    for without in (np.where(valid, sine, np.nan), np.where(valid, sine, 1e300), masked):
+        assert calibrate_from_motion(without, cosine).table == marked.table
 
 
 @pytest.mark.parametrize("part", [0.001, 0.03])
@@ -365,9 +367,10 @@ def test_both_methods_give_one_table(conditioning):
     assert slow.conditioning.is_identity == (conditioning is None)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"entries": 8}, {"conditioning": "ellipse"}, {"valid": [True]}, {"time_s": [0.0]}]
-)
+WRONG = {"entries": [8, 64.5], "conditioning": ["ellipse"], "valid": [[True]], "time_s": [[0.0], [1j]]}
+
+
+@pytest.mark.parametrize("wrong", [{name: value} for name, values in WRONG.items() for value in values])
 def test_wrong_arguments_raise(wrong):
     sine, cosine = Encoder().sample(np.arange(2000) / 50.0)
     for method in (calibrate_from_zero_crossings, calibrate_from_motion):
@@ -383,6 +386,7 @@ def _reason(sine, cosine, method=calibrate_from_motion, **options) -> str:
     assert isinstance(error, CanfbError)
     assert error.reason in list(Reason)
     assert len(str(error)) > 20
+    assert pickle.loads(pickle.dumps(error)).reason == error.reason
     if error.calibration is not None:
         assert not error.calibration.accepted
         assert error.calibration.reason == error.reason
@@ -402,6 +406,10 @@ def _encoder_at_300_rpm(encoder: Encoder):
 
 def _jittering(position: FloatArray, rms: float) -> FloatArray:
     return position + np.random.default_rng(3).normal(0.0, rms, len(position))
+
+
+def _to_and_fro(speed: float, period: float, steep: float) -> FloatArray:
+    return np.cumsum(speed * np.clip(np.sin(2 * np.pi * K / period + 1.0) * steep, -1.0, 1.0))
 
 
 K = np.arange(float(N))
@@ -428,6 +436,8 @@ REFUSED = {
     "noise of the position": (_jittering(AT_300_RPM, 0.06), "noise"),
     "no motion": (np.random.default_rng(3).uniform(0.0, 50.0, N), "noise"),
     "jitter of 20 us, 1.7 cycles": (83.0 * (_jittering(K, 0.02) + 30.0 * np.sin(K / 1e3)), "noise"),
+    "one cycle, many times": (_to_and_fro(0.0194, 150.0, 1.25), "cycles"),
+    "corners beyond the blocks": (_to_and_fro(0.138, 235.0, 3.4), "noise"),
     # Eq. 10 at 1 kHz allows half a cycle per sample squared; this is three times as much, to and fro.
     "too much acceleration": (15.0 * np.sin(K * 0.317), "noise locked"),
     "not around the origin": (
@@ -447,6 +457,9 @@ def test_tracks_that_reach_the_end_of_the_converter():
     near = Encoder(amplitude_counts=2040.0, noise_lsb=0.5)
     assert np.abs(table_error(calibrate_from_motion(*_encoder_at_300_rpm(near)).table, near)).max() < 3e-5
     assert _reason(*_encoder_at_300_rpm(SMALL), adc_bits=10) == "clipped"
+    sine, cosine = (1.0 * track for track in _encoder_at_300_rpm(Encoder(amplitude_counts=2300.0)))
+    sine[77] = 3000.0  # beyond the converter's range
+    assert _reason(sine, cosine) == "clipped"
     with pytest.raises(ValueError, match="adc_bits"):
         calibrate_from_motion(*_encoder_at_300_rpm(near), adc_bits=8)
 

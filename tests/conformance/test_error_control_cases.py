@@ -156,14 +156,6 @@ def test_hvg_04_heartbeat_without_guarding(tester: Tester) -> None:
     assert len(tester.beats(tester.wait(1.05))) >= 10
 
 
-def test_hvg_05_a_remote_frame_does_not_disturb_the_heartbeat(tester: Tester) -> None:
-    guarded(tester, 0, 0)
-    tester.accept("2B 17 10 00 64 00")
-    tester.wait(0.05)
-    heard = tester.repeat(10, 0.1, lambda: tester.remote(0x700 + tester.id))
-    assert tester.beats(heard) == ["7F"] * 10
-
-
 def test_hvg_06_with_both_there_is_the_heartbeat(tester: Tester) -> None:
     guarded(tester)
     tester.accept("2B 17 10 00 64 00")
@@ -173,8 +165,11 @@ def test_hvg_06_with_both_there_is_the_heartbeat(tester: Tester) -> None:
     assert tester.emergencies(heard) == []
 
 
-def test_hvg_07_with_both_no_guarding(tester: Tester) -> None:
-    guarded(tester)
+@pytest.mark.parametrize("guarding", [(0, 0), (100, 3)], ids=["hvg-05", "hvg-07"])
+def test_hvg_05_and_07_a_remote_frame_does_not_disturb_the_heartbeat(
+    tester: Tester, guarding: tuple[int, int]
+) -> None:
+    guarded(tester, *guarding)
     tester.accept("2B 17 10 00 64 00")
     tester.wait(0.05)
     heard = tester.repeat(10, 0.1, lambda: tester.remote(0x700 + tester.id))

@@ -14,10 +14,9 @@ from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Feedback, Sample
-from canfb.signal.stages import Stages
 from canfb.signal.supervision import VALID
 from drawing import examples
-from ideal_tracks import counts_at, wavy_table
+from ideal_tracks import Resolving, counts_at, wavy_table
 
 SYNC, ADC_PDO = 0x80, 0x190
 TABLE = wavy_table(64, 0.02)
@@ -59,14 +58,6 @@ happenings = st.lists(
     min_size=3,
     max_size=15,
 )
-
-
-class Resolving(Stages):
-    """Stages that take no sample for a usual one."""
-
-    def _look_again(self, feedback: Feedback) -> None:
-        super()._look_again(feedback)
-        self._nothing_in_doubt = False
 
 
 class Observer:

@@ -21,9 +21,8 @@ from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.front_end import Corners
 from canfb.signal.sample import TICK_S, TICKS, Feedback, Sample
 from canfb.signal.second_position import SecondSensor
-from canfb.signal.stages import Stages
 from canfb.signal.supervision import LOST, VALID, SampleLimits
-from ideal_tracks import counts_at
+from ideal_tracks import Resolving, counts_at
 
 TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in range(64)])
 CONDITIONING = Conditioning(3.0, -2.0, 1.01, 0.98, 0.02)
@@ -36,14 +35,6 @@ LIMITS = ChainLimits(
     frozen_samples=4,
     coarse_limit_revolutions=0.01,
 )
-
-
-class Resolving(Stages):
-    """Stages that take no sample for a usual one."""
-
-    def _look_again(self, feedback: Feedback) -> None:
-        super()._look_again(feedback)
-        self._nothing_in_doubt = False
 
 
 class Parts(SignalChain):

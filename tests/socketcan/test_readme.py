@@ -16,10 +16,6 @@ from documentation import blocks, page
 from judged_session import check, new_judge
 
 
-def shell_blocks() -> list[str]:
-    return re.findall(r"```sh\n(.*?)```", page("vcan"), flags=re.S)
-
-
 def python_block(word: str) -> str:
     (found,) = [block for block in blocks(page("first-hour"), "python") if word in block]
     return found
@@ -27,7 +23,7 @@ def python_block(word: str) -> str:
 
 @pytest.mark.usefixtures("can_utils")
 def test_the_first_session_can_be_pasted(can_bus: can.BusABC, tmp_path: Path) -> None:
-    (session,) = [block for block in shell_blocks() if "candump" in block]
+    (session,) = [block for block in blocks(page("vcan"), "sh") if "candump" in block]
     patient = "import canopen\ncanopen.sdo.SdoClient.RESPONSE_TIMEOUT = 30.0\n"
     (tmp_path / "master.py").write_text(patient + python_block("import canopen"))
     # Both commands are background jobs with the same ends as in a terminal.

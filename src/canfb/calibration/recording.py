@@ -23,7 +23,7 @@ from canfb.calibration.result import BoolArray, IntArray, Reason, samples_in_bin
 from canfb.errors import CalibrationError
 from canfb.objects import MISSED_COUNTS
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.phase import FloatArray, check_counts, pair_of_tracks
+from canfb.signal.phase import FloatArray, check_counts, pair_of_tracks, real_array
 from canfb.signal.sample_recording import BYTES_PER_SAMPLE
 from canfb.signal.tracker import track
 
@@ -35,6 +35,8 @@ CLIPPED_PART_OF_BIN = 0.2
 BREAK_INTERVALS = 10.0
 DEAD = 0.1  # of the amplitude: less is no track, and its angle would be followed as a motion
 ADC_BITS = (12, 14, 16)
+FAULTY_PART = 0.005  # of the counts, at either end: a track that clips has more of them there
+MOST_COUNTS = 1e12  # of no converter: squares of them are finite
 UNEVEN = 1e-6
 NO_TIME = -1
 CUBIC = 4
@@ -168,7 +170,7 @@ def recording(
     ("samples") for too few usable samples. The mark of a missed sample (2050:03) is not a sample.
     ``may_be_offset``: a conditioning will take the offset away."""
     s, c = np.array(pair_of_tracks(sine, cosine, may_be_offset=may_be_offset), np.float64)
-    missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS)
+    missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS) | (np.maximum(np.abs(s), np.abs(c)) > MOST_COUNTS)
     s[missed] = c[missed] = np.nan
     usable = np.isfinite(s) & np.isfinite(c)
     if valid is not None:
@@ -188,8 +190,9 @@ def recording(
     time, uneven = _intervals(time_s, len(s))
     at = np.flatnonzero(usable)
     breaks = at[1:][np.diff(time[at]) > BREAK_INTERVALS]
-    s, c = np.nan_to_num(s, posinf=0.0, neginf=0.0), np.nan_to_num(c, posinf=0.0, neginf=0.0)
-    return Recording(s, c, usable, clipped, time, uneven, breaks.astype(np.int64))
+    return Recording(
+        np.nan_to_num(s), np.nan_to_num(c), usable, clipped, time, uneven, breaks.astype(np.int64)
+    )
 
 
 def prepared(
@@ -204,7 +207,7 @@ def prepared(
     """The arguments of a reference measurement, checked: the recording, its ellipse, the angles behind that
     (cycles), and the conditioning that the table is made for, as 2002h holds it.
     """
-    if not 16 <= entries <= 4096:
+    if entries not in range(16, 4097):
         raise ValueError(f"entries must be 16..4096, not {entries!r}")
     if not (conditioning is None or conditioning == "fit" or isinstance(conditioning, Conditioning)):
         raise ValueError('conditioning must be None, "fit" or a Conditioning')
@@ -238,15 +241,16 @@ def recorded_tracks(data: bytes) -> tuple[FloatArray, FloatArray]:
 
 
 def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | None) -> BoolArray:
-    low = min(np.min(s[usable], initial=0.0), np.min(c[usable], initial=0.0))
-    high = max(np.max(s[usable], initial=0.0), np.max(c[usable], initial=0.0))
-    if adc_bits is None:
+    counts = np.concatenate([s[usable], c[usable], [0.0]])
+    low, high = float(counts.min()), float(counts.max())
+    if adc_bits is None:  # of the tracks: a fault may lie beyond their converter's range
+        low, high = np.quantile(counts, (FAULTY_PART, 1.0 - FAULTY_PART), method="nearest").tolist()
         fitting = [bits for bits in ADC_BITS if -(1 << bits - 1) <= low and high < 1 << bits - 1]
         if not fitting:
             return np.zeros_like(usable)
         adc_bits = fitting[0]
-    full = 1 << (adc_bits - 1)
-    if low < -full or high > full - 1 or not 4 <= adc_bits <= 16:
+    full = 1 << int(adc_bits) - 1 if adc_bits in range(4, 17) else 0
+    if low < -full or high > full - 1:
         raise ValueError(
             f"samples from {low:g} to {high:g} counts do not fit {adc_bits} bits: set adc_bits (4 to 16)"
         )
@@ -256,7 +260,7 @@ def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | No
 def _intervals(time_s: npt.ArrayLike | None, n: int) -> tuple[FloatArray, bool]:
     if time_s is None:
         return np.arange(n, dtype=np.float64), False
-    time = np.array(time_s, np.float64)
+    time = real_array("time_s", time_s)
     if time.shape != (n,) or not np.isfinite(time).all():
         raise ValueError("time_s must be finite numbers, one for each sample")
     steps = np.diff(time)

@@ -37,6 +37,7 @@ from canfb.calibration.result import (
     coverage,
     no_fit,
     robust_rms,
+    root_mean,
 )
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
@@ -110,7 +111,7 @@ class Solver:
         """Tracks and motion from the ellipse's ``angle`` (cycles). CalibrationError if there are none."""
         first = Start(self.record.positions(angle), None)
         seen = first.position[self.record.valid][::DISTANCE_SAMPLES]
-        check_distance(coverage(angle[self.record.valid]), float(np.abs(np.diff(seen)).sum()))
+        check_distance(coverage(angle[self.record.valid]), float(np.ptp(seen)))
         shape, lively = self._choose_shape(first, STIFF)
         self.report(0.3)
         fit = self._fit(self.record.cut(*shape), first)
@@ -138,6 +139,13 @@ class Solver:
         telling = fit.blocks.used[fit.informative].sum()
         if self._curve(fit.waveform) is None or off > MAX_OFF_CYCLES or telling < MIN_SAMPLES:
             raise no_fit("tracks and motion cannot be separated", loss)
+        longer = self.record.cut(2 * shape.length, shape.terms)
+        if fit.noise.along > LIVELY_NOISE * fit.noise.across and len(longer) >= MIN_BLOCKS:
+            # What the blocks do not follow is no white noise: longer ones show what it does to the tracks.
+            other = self._fit(longer, self._start(angle, fit.waveform)).waveform
+            change = (other.coefficients - fit.waveform.coefficients).ravel()
+            moved = root_mean(table_sensitivity(fit.waveform, self.ellipse) @ change)
+            undetermined = max(undetermined, moved)
         return Solution(fit, self.record.cut(*shape), loss, undetermined)
 
     def _off_cycles(self, fit: JointFit) -> float:

@@ -173,7 +173,8 @@ def check_counts(sine: npt.NDArray[Any], cosine: npt.NDArray[Any], *, may_be_off
 
 def _numbers(name: str, track: npt.ArrayLike, kinds: str) -> npt.NDArray[Any]:
     try:
-        numbers = np.asarray(track)
+        masked = np.ma.is_masked(track)
+        numbers = np.ma.asarray(track, float).filled(np.nan) if masked else np.asarray(track)
     except ValueError:
         raise ValueError(f"{name} must be an array of one dimension: its rows differ in length") from None
     if numbers.dtype.kind in kinds:
