@@ -44,6 +44,13 @@ def one_line(text: str) -> str:
 CANFB = ("-W", "error", "-m", "canfb")
 
 
+@pytest.mark.parametrize(("stream", "words", "code"), [(1, "example", 0), (2, "check nothing.yaml", 2)])
+def test_without_a_stream_it_does_the_rest(stream: int, words: str, code: int) -> None:
+    called = [sys.executable, *CANFB, "config", *words.split()]
+    done = python("-c", f"import os; os.close({stream}); os.execv({sys.executable!r}, {called})")
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
+
+
 def test_version_and_help_are_done(command: Command) -> None:
     assert command("--version").out == f"canfb {version('canfb')}\n"
     for line in ("", "--help"):

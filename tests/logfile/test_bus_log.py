@@ -35,9 +35,7 @@ def recorded(path: Path, plan: list[Any], seconds: float = 1.0, **options: Any) 
     return bus_log
 
 
-@pytest.mark.parametrize(
-    "suffix", [".log", ".asc", ".blf", ".trc", ".mf4", ".csv", ".db", ".log.gz", ".asc.gz"]
-)
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc", ".mf4", ".csv", ".log.gz", ".asc.gz"])
 def test_python_can_reads_what_was_recorded(tmp_path: Path, suffix: str) -> None:
     if suffix == ".mf4":
         pytest.importorskip("asammdf")
@@ -89,6 +87,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     [
         ("bus.xyz", {}, r"unknown suffix '\.xyz'; bus logs end with \.asc, \.blf, "),
         ("bus", {}, "no suffix; "),
+        ("bus.db", {}, r"unknown suffix '\.db'; "),  # written in a thread that ends unheard on a full disk
         ("bus.blf.gz", {}, r"\.blf cannot be compressed with gzip"),
         ("bus.trc", {"max_bytes": 100}, r"--max-size: python-can divides \.asc, \.blf, \.log, not \.trc"),
         ("nowhere/bus.log", {}, "there is no folder"),

@@ -66,6 +66,7 @@ def test_a_record_is_read_as_a_whole(canfb: Commands, bench: Bench) -> None:
     mapping = canfb(bench, "sdo", "read", NODE, "1a00")[0].splitlines()
     assert "Number of mapped objects: 3" in mapping[0]
     assert "2020:03" not in canfb(bench, "sdo", "read", NODE, "2020")[0], "write only"
+    assert canfb(bench, "sdo", "read", NODE, "1003")[0].startswith("1003:00 "), "no error, and so no more"
 
 
 def test_the_eds_follows_from_the_node(canfb: Commands, bench: Bench) -> None:

@@ -39,6 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         completion.answer(build_parser, os.environ)
         return FAILED
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - None: closed (>&-)
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # µ and ″ on a terminal that has none
     try:

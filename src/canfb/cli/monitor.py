@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -160,7 +161,7 @@ def output(options: argparse.Namespace, page: LivePage | None) -> Iterator[tuple
             yield page.show, RATE_HZ
     elif options.json:
         yield lambda snapshot: print(json.dumps(snapshot.to_json(), ensure_ascii=False), flush=True), RATE_HZ
-    elif options.plain or not sys.stdout.isatty():
+    elif options.plain or not sys.stdout.isatty() or os.environ.get("TERM") in ("dumb", "unknown"):
         yield lambda snapshot: _say_lines(snapshot, options), LINES_RATE_HZ
     else:
         with _page(options) as show:

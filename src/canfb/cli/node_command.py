@@ -109,6 +109,9 @@ def listed(options: argparse.Namespace) -> int:
 
     with BusMaster(open_bus(chosen_bus(options)), 0.3) as master:
         found = scan(master, options.seconds)
-    nobody = "no node answers, and no heartbeat is heard: are the bus, its bit rate and its power right?"
+    nobody = (
+        "no node answers, and no heartbeat is heard: are the bus, its bit rate and its power right? "
+        "A STOPPED node without heartbeat is silent: canfb node preop all"
+    )
     lines = [one.line() for one in found] or [nobody]
     return node_options.say_result(options, Result([one.figures() for one in found], lines))

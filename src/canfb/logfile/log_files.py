@@ -48,7 +48,8 @@ def log_suffix(path: Path) -> tuple[str, bool]:
 
 
 READABLE = sorted(MESSAGE_READERS)
-WRITABLE = sorted(set(MESSAGE_WRITERS) & set(MESSAGE_READERS))  # What can be written, and read again.
+# What can be written, and read again. python-can writes .db in a thread that ends unheard on a full disk.
+WRITABLE = sorted(set(MESSAGE_WRITERS) & set(MESSAGE_READERS) - {".db"})
 
 
 def is_log(path: Path) -> bool:

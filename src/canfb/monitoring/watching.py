@@ -131,8 +131,10 @@ class Watching:
             if not abs(now - due) < LONGEST_GAP_S:
                 due = now + self._interval_s
             while now >= due and not self._reader.stopped.is_set():
-                if speed is not None:
-                    self._reader.sleep(self._interval_s / speed)
+                left_s = self._interval_s / speed if speed is not None else 0.0
+                while left_s > 0.0 and not self._reader.stopped.is_set():
+                    self._reader.sleep(min(left_s, LONGEST_WAIT_S))
+                    left_s -= LONGEST_WAIT_S
                 self._look(due)
                 due += self._interval_s
             self._model.receive(frame, now)

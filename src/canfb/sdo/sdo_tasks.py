@@ -312,6 +312,8 @@ class SdoTasks:
             raise CommissioningError(f"{meant[0].number} {meant[0].title} is write only")
         if len(readable) > 1:
             readable = [entry for entry in readable if entry.subindex or entry.index in _COUNTED]
+        if readable[0].place == _ERRORS:  # those that it counts; the others are refused
+            readable = readable[: 1 + self._node.integer(*_ERRORS, "B")]
         return [self._read(entry) for entry in readable]
 
     def write(self, text: str, value: str | bytes, *, raw: bool = False) -> Result:
@@ -393,6 +395,7 @@ class SdoTasks:
         return CommissioningError(f"{self._node.name}: {what} is refused: {said}")
 
 
+_ERRORS = (0x1003, 0)
 # Objects whose sub-index 0 says more than how many there are.
 _COUNTED = frozenset({0x1003, *range(0x1600, 0x1800), *range(0x1A00, 0x1C00)})
 
