@@ -9,10 +9,11 @@ All services hold for one node-ID, and are made again with another.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from functools import partial
 
 from canfb.cia301.cob import ERROR_CONTROL, NMT
 from canfb.cia301.codes import EmergencyCode, ErrorRegister, NmtState
-from canfb.device.core import NEVER, Application, CanIds, Core, Handler, Reactions, Timed
+from canfb.device.core import NEVER, Application, CanIds, Core, Reactions, Timed
 from canfb.device.emergency import Emergency
 from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave
 from canfb.device.nmt_slave import (
@@ -53,33 +54,6 @@ class Silence(Timed):
 _DUPLICATE = "duplicate node-ID"
 
 
-class DuplicateWatch:
-    """Listens to the CAN-IDs that this node alone may send (CiA 301, 7.3.5).
-
-    The first frame there after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4. The NMT state
-    stays.
-    """
-
-    def __init__(self, core: Core) -> None:
-        self._core = core
-        self._reported = False
-
-    def reset(self) -> None:
-        self._reported = False
-
-    def handler(self, can_id: int) -> Handler:
-        def handle(data: bytes, now: float) -> None:
-            self._core.counters.duplicate_frames += 1
-            if self._reported:
-                return
-            self._reported = True
-            code, detail = EmergencyCode.CAN_ID_COLLISION, can_id.to_bytes(2, "little")
-            self._core.emergency.report(code, ErrorRegister.COMMUNICATION, detail, now, _DUPLICATE)
-            self._core.application.duplicate_received(can_id, now)
-
-        return handle
-
-
 class Services:
     """All services of one node-ID."""
 
@@ -88,7 +62,7 @@ class Services:
         self._silence = silence
         self.emergency = core.emergency = Emergency(core)  # first: the others report to it
         self.error_behaviour = ErrorBehaviour(core.dictionary)
-        self.duplicates = DuplicateWatch(core)
+        self._duplicate_reported = False
         self.producer = HeartbeatProducer(core)
         self.guarding = NodeGuarding(core, self.producer)
         self.consumer = HeartbeatConsumer(core)
@@ -121,7 +95,7 @@ class Services:
     def forget(self) -> None:
         self.producer.stop()
         self.emergency.reset()
-        self.duplicates.reset()
+        self._duplicate_reported = False
 
     def enter(self, old: NmtState, new: NmtState, now: float) -> None:
         """What a NMT state allows and forbids (CiA 301, 7.3.2.2.5)."""
@@ -171,7 +145,19 @@ class Services:
         if state is NmtState.OPERATIONAL:
             self.pdos.add_routes(routes)
         for can_id in self.own_can_ids():
-            routes.add(can_id, self.duplicates.handler(can_id))
+            routes.add(can_id, partial(self._duplicate, can_id))
+
+    def _duplicate(self, can_id: int, data: bytes, now: float) -> None:
+        """A frame with a CAN-ID that this node alone may send (CiA 301, 7.3.5).
+
+        The first one after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4. The NMT state stays.
+        """
+        self._core.counters.duplicate_frames += 1
+        if not self._duplicate_reported:
+            self._duplicate_reported = True
+            code, detail = EmergencyCode.CAN_ID_COLLISION, can_id.to_bytes(2, "little")
+            self.emergency.report(code, ErrorRegister.COMMUNICATION, detail, now, _DUPLICATE)
+            self._core.application.duplicate_received(can_id, now)
 
     def own_can_ids(self) -> frozenset[int]:
         """The CAN-IDs that only this node may send, in any NMT state.
