@@ -69,18 +69,16 @@ class Emergency(Timed):
         `register_bits` are bits of 1001h, `manufacturer` up to 5 bytes. `source` None: the program.
         """
         key = (int(code), source)
-        if key in self._active and not again:
-            return
-        self._active[key] = int(register_bits)
-        self._set_register()
-        self._remember(int(code), manufacturer)
-        self._send(int(code), manufacturer, now)
+        if again or key not in self._active:
+            self._active[key] = int(register_bits)
+            self._set_register()
+            self._remember(int(code), manufacturer)
+            self._send(int(code), manufacturer, now)
 
     def clear(self, code: int, now: float, source: Hashable = None) -> None:
-        if self._active.pop((int(code), source), None) is None:
-            return
-        self._set_register()
-        self._send(EmergencyCode.NO_ERROR, b"", now)
+        if self._active.pop((int(code), source), None) is not None:
+            self._set_register()
+            self._send(EmergencyCode.NO_ERROR, b"", now)
 
     def tick(self, now: float) -> None:
         can_id = self.can_id
@@ -97,10 +95,9 @@ class Emergency(Timed):
 
     def sent(self, now: float) -> None:
         """An EMCY has left: 1015h counts from here."""
-        inhibit = self._inhibit_s()
-        if inhibit:
-            self._not_before = now + inhibit
-            self.deadline = self._not_before if self._waiting and self._allowed else NEVER
+        if self._inhibit.value:
+            self._not_before = now + self._inhibit_s()
+            self.tick(now)
 
     def _send(self, code: int, manufacturer: bytes, now: float) -> None:
         if len(self._waiting) == _WAITING:
@@ -116,11 +113,10 @@ class Emergency(Timed):
         self._register.value = int(bits)
 
     def _remember(self, code: int, manufacturer: bytes) -> None:
-        if not self._history:
-            return
-        for newer, older in zip(self._history[-2::-1], self._history[:0:-1], strict=True):
-            older.value = newer.value
-        self._history[0].value = code | int.from_bytes(manufacturer[:2], "little") << 16
+        newest = code | int.from_bytes(manufacturer[:2], "little") << 16
+        shifted = [newest, *(entry.value for entry in self._history)]
+        for entry, value in zip(self._history, shifted, strict=False):  # the oldest drops out
+            entry.value = value
         self._history_count.value = min(self._history_count.value + 1, len(self._history))
 
     def _inhibit_s(self) -> float:
