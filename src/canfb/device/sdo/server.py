@@ -95,11 +95,11 @@ class SdoServer(Timed):
 
     def _reply(self, payload: bytes) -> None:
         pending = self._core.pending
-        if pending is not None:
+        if pending is None:
+            self._core.emit(Frame(self.response_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
+        else:
             self._core.pending, self._pending = None, pending
             pending.on_end = partial(self._written, self._multiplexer, payload)
-            return
-        self._core.emit(Frame(self.response_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
 
     def _written(self, multiplexer: bytes, payload: bytes, code: AbortCode | None) -> None:
         self._pending = None

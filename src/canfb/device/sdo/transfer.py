@@ -102,11 +102,9 @@ class Download(Transfer):
     """Client to server; written when all is there."""
 
     def __init__(self, multiplexer: bytes, entry: Entry, announced: int | None, reply: Reply) -> None:
-        expected, size = entry.byte_length, announced or 0
-        if announced is not None and expected and size != expected:
-            raise SdoAbort(AbortCode.TOO_LONG if size > expected else AbortCode.TOO_SHORT)
-        if size > LARGEST_DOWNLOAD:
-            raise SdoAbort(AbortCode.OUT_OF_MEMORY)
+        if announced is not None and announced < entry.byte_length:
+            raise SdoAbort(AbortCode.TOO_SHORT)
+        check_received(entry, announced or 0, None)
         super().__init__(multiplexer, reply)
         self.target: Entry = entry
         self._announced = announced
