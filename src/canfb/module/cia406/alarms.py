@@ -39,8 +39,9 @@ class PositionAlarm:
             if lost or not self.active:
                 self.active, self._said_lost = True, lost
                 why = bytes((int(loss.cause), min(loss.bad_samples, 0xFF))) if lost else b""
-                detail = status.to_bytes(2, "little") + why
-                self._node.emergency(EmergencyCode.SENSOR, REGISTER, detail, now, again=lost)
+                self._node.emergency(
+                    EmergencyCode.SENSOR, REGISTER, status.to_bytes(2, "little") + why, now, again=lost
+                )
         elif now - self._ended_s >= SHORTEST_S:
             self.active = self._said_lost = False
             self._ended_s = now

@@ -9,8 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from canfb.device.od.dictionary import Dictionary
-
-U32 = 0xFFFFFFFF
+from canfb.module.cia406.position import CHANNEL, U32
 
 
 class Span(NamedTuple):
@@ -50,7 +49,6 @@ def span_of(low: int, high: int, total_range: int) -> Span | None:
 
 
 CAMS = 8
-CHANNEL = 1
 STATE, ENABLE, POLARITY = 0x6300, 0x6301, 0x6302
 LOW, HIGH, HYSTERESIS = 0x6310, 0x6320, 0x6330
 
@@ -105,9 +103,6 @@ class Cams:
             for n in range(CAMS)
         ]
         self._cams = [Cam() for _ in range(CAMS)]
-        self._followed: list[Cam] = []
-        self._total_range = 1
-        self.follows = False
         entry(STATE, CHANNEL).on_read = self._state
         self._enable.on_written = self._configure
         for limits in self._limits:
@@ -115,7 +110,7 @@ class Cams:
                 limit.on_written = self._configure
 
     def configure(self, total_range: int) -> None:
-        self._total_range = total_range
+        self._total_range = total_range  # before all else: the state begins here
         for cam in self._cams:
             cam.active = False
         self._configure()
@@ -125,7 +120,7 @@ class Cams:
             cam.update(position)
 
     def _configure(self) -> None:
-        self._followed = []
+        self._followed: list[Cam] = []
         for n, (cam, (low, high, hysteresis)) in enumerate(zip(self._cams, self._limits, strict=True)):
             cam.configure(low.value, high.value, hysteresis.value, self._total_range)
             if not self._enable.value >> n & 1:

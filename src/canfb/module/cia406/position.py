@@ -72,8 +72,7 @@ class PositionScale:
 
     def units(self, cycles: int, phase: float) -> int:
         """Units since the start, unwrapped, rounded down; 0 <= phase < 1."""
-        phase_units = int(phase * PHASE_SCALE)
-        return (cycles * PHASE_UNITS + phase_units) * self._numerator // self._denominator
+        return (cycles * PHASE_UNITS + int(phase * PHASE_SCALE)) * self._numerator // self._denominator
 
     def position(self, cycles: int, phase: float) -> int:
         """6004h: (units + offset) modulo ``total_range``."""

@@ -20,7 +20,6 @@ from canfb.module.cia406.position import (
 )
 from canfb.module.interval import SamplingInterval
 from canfb.module.objects.publication import Latest
-from canfb.signal.supervision import VALID
 
 CYCLIC_TIMER = 0x6200
 EVENT_TIMER = (0x1800, 5)
@@ -157,8 +156,6 @@ class EncoderProfile:
         last = self._latest.feedback
         if last is not None:
             self._position.value = self._fine.value = self.scale.position(*self._latest.place(last))
-            if last.status & VALID:
-                self.cams.follow(self._position.value)
 
     def alarm(self, bit: int, active: bool) -> None:
         self._alarms.value = self._alarms.value & ~bit | (bit if active else 0)
