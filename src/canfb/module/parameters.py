@@ -19,7 +19,7 @@ from canfb.module.cia406.position import distinguishable_revolutions, single_tur
 from canfb.module.interval import SamplingInterval
 from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_DECLARED_S, WRITE_LOCKS, ModuleConfig
 from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import MOST_CORNER_HZ, ChainConfig, ChainLimits
+from canfb.signal.chain_config import MOST_CORNER_HZ, ChainLimits
 from canfb.signal.residual_noise import ResidualNoise
 from canfb.signal.supervision import SampleLimits
 from canfb.view.module_view import LIMIT_UNITS, limit_settings, values_of
@@ -191,13 +191,8 @@ class Limits:
         low = entry(*od.ENCODER_LOWEST_AMPLITUDE)
         self._margin = entry(*od.SUPERVISION_NOISE_MARGIN)
         self.noise = ResidualNoise()
-        self._applied_noise = math.nan
-        self._applied_s = 0.0
-        self.shortest_s, self.longest_s = -math.inf, math.inf
-        self.timed = self._narrowed = False
-        self.in_force = ChainConfig().chain_limits
+        self.timed = False
         self.on_applied: Callable[[], None] = lambda: None
-        self._upper_is_old = False
         for place, (least, most) in RANGES.items():
             entry(*place).on_check = _within(least, most)
         full_scale.on_check = refuse_if(lambda value: value <= 0)
@@ -210,6 +205,7 @@ class Limits:
         # accepted meanwhile.
         full_scale.on_written = lambda: self._scale_written(upper_is_old=True)
         high.on_written = lambda: self._scale_written(upper_is_old=False)
+        self.reset()
 
     def reset(self) -> None:
         self._upper_is_old = False
