@@ -79,7 +79,12 @@ class Deviation:
 def best_deviation(record: Recording, used: Correction, before: Correction, block_samples: int) -> Deviation:
     """:func:`deviation_of_phases` of the samples with these sets, also with shorter blocks: the motion may be
     less smooth than it was before."""
-    return best_of_phases(record, _phases(record, used), _phases(record, before), block_samples)
+    return best_of_phases(
+        record,
+        phases_with(used, record.sine, record.cosine),
+        phases_with(before, record.sine, record.cosine),
+        block_samples,
+    )
 
 
 def best_of_phases(
@@ -142,8 +147,8 @@ def deviation_of_phases(
     )
 
 
-def _phases(record: Recording, used: Correction) -> FloatArray:
-    raw = raw_phases(*used.conditioning.apply(record.sine, record.cosine))
+def phases_with(used: Correction, sine: FloatArray, cosine: FloatArray) -> FloatArray:
+    raw = raw_phases(*used.conditioning.apply(sine, cosine))
     return raw if used.table is None else used.table.correct_array(raw)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from canfb import objects as od
 from canfb.calibrate.measurement import SupervisedSamples, supervise
+from canfb.calibration.deviation import phases_with
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.recording import positions
 from canfb.calibration.result import MOST_CHANGE_CYCLES, about_mean, changed, robust_rms
@@ -33,8 +34,12 @@ from canfb.master.machine_watch import PERCENT, SpeedReading, in_words
 from canfb.master.samples import TrackSamples
 from canfb.master.session import AMPLITUDES, CORNER, JITTER, KINDS, SupervisionLimits
 from canfb.signal.correction import Correction
-from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES, max_acceleration
-from canfb.signal.phase import raw_phases
+from canfb.signal.limits import (
+    CALIBRATED_PHASE_ERROR_CYCLES,
+    MOST_PHASE_ERROR_CYCLES,
+    cycles_per_interval_squared,
+    max_acceleration,
+)
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.signal.witness.witness import CoarseTrack
 from canfb.timing.grid import UNDECLARED
@@ -327,8 +332,7 @@ def _follow(
     readings: Sequence[SpeedReading],
     interval_s: float,
 ) -> tuple[float, SupervisedSamples]:
-    raw = raw_phases(*used.conditioning.apply(samples.sine, samples.cosine))
-    phase = raw if used.table is None else used.table(raw)
+    phase = phases_with(used, samples.sine, samples.cosine)
     time = np.arange(float(len(samples))) if samples.time_s is None else samples.time_s / interval_s
     place = positions(phase, time, samples.time_s is not None, np.zeros(0, np.int64))
     speed = np.diff(place) / np.diff(time)
@@ -422,7 +426,7 @@ def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revo
     if not value and place in NOTHING:
         return f"0, {NOTHING[place]}"
     if place == od.SUPERVISION_ACCELERATION:
-        cycles = value * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
+        cycles = cycles_per_interval_squared(value, cycles_per_revolution, interval_s)
         return f"{value:.3g} rad/s² ({cycles:.2g} cycle)"
     if place == JITTER.place:
         return f"{1e6 * value:.0f} µs"
