@@ -126,12 +126,10 @@ class LssSlave:
         elif data[0] in self._services:
             if configuring:
                 self._change(data)
-        elif data[0] - LssCommand.INQUIRE_IDENTITY in _PARTS:
+        elif LssCommand.INQUIRE_IDENTITY <= data[0] <= LssCommand.INQUIRE_NODE_ID:
             if configuring:
-                self._answer(data[0], *self.address[data[0] - 0x5A].to_bytes(4, "little"))
-        elif data[0] == LssCommand.INQUIRE_NODE_ID:
-            if configuring:
-                self._answer(data[0], self._core.node_id)
+                inquired = [*self.address, self._core.node_id][data[0] - LssCommand.INQUIRE_IDENTITY]
+                self._answer(data[0], *inquired.to_bytes(4, "little"))
         else:
             self._identify(data[0], int.from_bytes(data[1:5], "little"), data)
 
