@@ -68,17 +68,14 @@ def random_encoder(rng: np.random.Generator, noise_lsb: float) -> Encoder:
     sizes = {2: 0.02, 3: 0.03, 5: 0.01}
     return Encoder(
         amplitude_counts=rng.uniform(1200.0, 1700.0),
-        sine_offset=rng.uniform(-0.06, 0.06),
-        cosine_offset=rng.uniform(-0.06, 0.06),
-        sine_amplitude=rng.uniform(0.94, 1.06),
-        cosine_amplitude=rng.uniform(0.94, 1.06),
-        phase_error_rad=rng.uniform(-0.1, 0.1),
+        sine_offset=rng.uniform(-0.06, 0.06), cosine_offset=rng.uniform(-0.06, 0.06),
+        sine_amplitude=rng.uniform(0.94, 1.06), cosine_amplitude=rng.uniform(0.94, 1.06),
+        phase_error_rad=rng.uniform(-0.1, 0.1), noise_lsb=noise_lsb,
         harmonics=tuple(
             Harmonic(order, *rng.uniform(0.0, size, 2), *rng.uniform(0.0, 2.0 * np.pi, 2))
             for order, size in sizes.items()
         ),
-        noise_lsb=noise_lsb,
-    )
+    )  # fmt: skip
 
 
 def measured(

@@ -30,16 +30,10 @@ from folding import each
 def machine_with(**path: float) -> Encoder:
     """An encoder, and what is behind it."""
     return Encoder(
-        amplitude_counts=1475.0,
-        sine_offset=0.024,
-        cosine_offset=-0.014,
-        sine_amplitude=1.024,
-        cosine_amplitude=0.976,
-        phase_error_rad=0.05,
+        amplitude_counts=1475.0, sine_offset=0.024, cosine_offset=-0.014, sine_amplitude=1.024,
+        cosine_amplitude=0.976, phase_error_rad=0.05, path=AnalogPath(**path), noise_lsb=0.5,
         harmonics=(Harmonic(2, 0.004, 0.0, 1.6), Harmonic(3, 0.01, 0.01, 0.4, -1.1)),
-        noise_lsb=0.5,
-        path=AnalogPath(**path),
-    )
+    )  # fmt: skip
 
 
 def at_speed(

@@ -62,13 +62,10 @@ def test_table_is_shifted_only_if_it_must():
 def _encoder(rng: np.random.Generator, noise_lsb: float = 0.5) -> Encoder:
     return Encoder(
         amplitude_counts=rng.uniform(600.0, 1200.0),
-        sine_offset=rng.uniform(-0.5, 0.5),
-        cosine_offset=rng.uniform(-0.5, 0.5),
-        sine_amplitude=rng.uniform(0.7, 1.3),
-        cosine_amplitude=rng.uniform(0.7, 1.3),
-        phase_error_rad=rng.uniform(-0.6, 0.6),
-        noise_lsb=noise_lsb,
-    )
+        sine_offset=rng.uniform(-0.5, 0.5), cosine_offset=rng.uniform(-0.5, 0.5),
+        sine_amplitude=rng.uniform(0.7, 1.3), cosine_amplitude=rng.uniform(0.7, 1.3),
+        phase_error_rad=rng.uniform(-0.6, 0.6), noise_lsb=noise_lsb,
+    )  # fmt: skip
 
 
 def _error(found: Conditioning, encoder: Encoder) -> tuple[float, float, float]:

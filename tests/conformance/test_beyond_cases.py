@@ -172,21 +172,15 @@ def remote_only_refused(tester: Tester, index: int, kind: int, *, valid: bool) -
 
 
 def test_beyond_16_reserved_types(tester: Tester) -> None:
-    for number in tester.tpdos:
-        index = 0x1800 + number - 1
-        before = tester.read(index, 2)
-        for kind in range(0xF1, 0xFC):
+    indices = [0x1800 + number - 1 for number in tester.tpdos] + [
+        0x1400 + number - 1 for number in tester.rpdos
+    ]
+    for index in indices:
+        before, cob_id = tester.read(index, 2), tester.read(index, 1)
+        for kind in range(0xF1, 0xFC if index >= 0x1800 else 0xFE):
             tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
-        cob_id = tester.read(index, 1)
-        if cob_id >> 30 & 1:
-            for kind in (0xFC, 0xFD):
-                remote_only_refused(tester, index, kind, valid=not cob_id >> 31)
-        assert tester.read(index, 2) == before
-    for number in tester.rpdos:
-        index = 0x1400 + number - 1
-        before = tester.read(index, 2)
-        for kind in range(0xF1, 0xFE):
-            tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
+        for kind in (0xFC, 0xFD) if index >= 0x1800 and cob_id >> 30 & 1 else ():
+            remote_only_refused(tester, index, kind, valid=not cob_id >> 31)
         assert tester.read(index, 2) == before
 
 

@@ -289,6 +289,14 @@ class TimerModel:
             self.ask(due)
 
 
+def test_an_event_that_waits_for_a_sync_is_sent_once_by_another_type(bench: Bench) -> None:
+    set_up(bench, kind=0)
+    bench.operational()
+    bench.node.trigger_tpdo(2, bench.now)
+    assert bench.write(0x1801, 2, 254, 1) == OK
+    assert len(bench.run(1.0)) == 1
+
+
 STEPS = st.lists(st.tuples(st.integers(0, 40), st.sampled_from(["event", "rtr", "timer", ""])), max_size=25)
 
 

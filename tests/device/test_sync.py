@@ -12,6 +12,7 @@ from device_kit import ID, OK, Bench
 from hypothesis import given, strategies as st
 
 from canfb.cia301.codes import AbortCode
+from canfb.cia301.frame import Frame
 from canfb.device.core import FOLLOWED, IGNORED, REVOKED, HeldRpdo
 from canfb.device.od.dictionary import Dictionary
 
@@ -93,7 +94,8 @@ def test_the_window_for_rpdos(sample_path: Path, steps: list[tuple[int, Any]]) -
     for number, (ticks, what) in enumerate(steps, 1):
         bench.now += ticks * TICK_S
         if what == "pdo":
-            bench.send(RPDO, number.to_bytes(4, "little"))
+            frame = Frame(RPDO, number.to_bytes(4, "little"), False, bench.now)
+            bench.node.receive(frame, bench.now + TICK_S / 2.0)  # a late host
             held, late = (number, late) if bench.now <= end else (held, late + 1)
         elif what == "sync":
             bench.sync()

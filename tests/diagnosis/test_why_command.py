@@ -120,20 +120,12 @@ def test_sdo_says_what_explains_a_lost_position(canfb: Commands) -> None:
 
 
 LOST = LostPosition(
-    node_id=32,
-    status=int(StatusBit.LOST),
+    node_id=32, status=int(StatusBit.LOST), losses=1, missed=3, missed_syncs=0,
     loss=Loss(LossCause.AMBIGUOUS, 3.0, 3, 0.2, 0.333, 1.2, int(StatusBit.MISSED)),
-    losses=1,
-    missed=3,
-    missed_syncs=0,
-    sample_hz=100.0,
-    cycles_per_revolution=2500,
-    coast_samples=8,
+    sample_hz=100.0, cycles_per_revolution=2500, coast_samples=8,
     limits=LimitSettings(widest_cycles=1 / 3, acceleration_rad_s2=0.25),
-    coarse=False,
-    zero_pulse=False,
-    second=False,
-)
+    coarse=False, zero_pulse=False, second=False,
+)  # fmt: skip
 
 
 def with_limits(**limits: Any) -> LostPosition:

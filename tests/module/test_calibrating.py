@@ -29,15 +29,10 @@ from canfb.simulation.encoder import Encoder, Harmonic
 from ideal_tracks import wavy_table
 
 ENCODER = Encoder(
-    amplitude_counts=1500.0,
-    sine_offset=0.03,
-    cosine_offset=-0.02,
-    sine_amplitude=1.04,
-    cosine_amplitude=0.97,
-    phase_error_rad=0.06,
+    amplitude_counts=1500.0, sine_offset=0.03, cosine_offset=-0.02, sine_amplitude=1.04,
+    cosine_amplitude=0.97, phase_error_rad=0.06, noise_lsb=0.5,
     harmonics=(Harmonic(2, 0.008, 0.006, 0.4, 1.1), Harmonic(3, 0.01, 0.012)),
-    noise_lsb=0.5,
-)
+)  # fmt: skip
 SAMPLES = 3000
 DEVICE_STATE = 0x08000022
 Counts = tuple[int, int]
@@ -176,13 +171,9 @@ def test_a_poor_encoder_whose_position_is_lost_is_measured_all_the_same() -> Non
     """40 % offset, 20 % amplitude error, started at speed: the count is wrong, the samples are not."""
     rng = np.random.default_rng(3)
     poor = Encoder(
-        amplitude_counts=1250.0,
-        sine_offset=0.4,
-        cosine_offset=-0.4,
-        sine_amplitude=1.2,
-        cosine_amplitude=0.8,
-        noise_lsb=0.5,
-    )
+        amplitude_counts=1250.0, sine_offset=0.4, cosine_offset=-0.4, sine_amplitude=1.2,
+        cosine_amplitude=0.8, noise_lsb=0.5,
+    )  # fmt: skip
     time = np.arange(1500)
     bench = Measuring(1500)
     bench.begin()

@@ -156,6 +156,23 @@ def test_the_examples_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     assert (sdo[0x6509].raw, sdo[0x6004].raw, sdo[0x2004][1].raw) == (offset, 1_800_000, 0x3023)
 
 
+def test_a_position_out_of_date_is_an_alarm_without_warnings_and_takes_no_preset(bench: Bench) -> None:
+    bench.at(0.0, LOW)
+    bench.bus.run_until(bench.bus.now + 3.0)  # SYNC stops before its period is known
+    assert (bench.sdo[0x6503].raw, bench.sdo[0x6505].raw) == (ALARM_POSITION, 0)
+    with pytest.raises(canopen.SdoAbortedError):
+        bench.sdo[0x6003].raw = 77
+    bench.remote.nmt.state = "RESET COMMUNICATION"
+    assert (bench.sdo[0x6503].raw, bench.sdo[0x1001].raw) == (ALARM_POSITION, 0x21), "it is told again"
+
+
+def test_a_stall_before_the_first_sample_counts_for_nothing(bench: Bench) -> None:
+    for _ in range(20):
+        bench.sync()
+    bench.bus.run_until(bench.bus.now + 1.0)
+    assert [bench.at(0.2)[1] & 1 for _ in range(20)] == [1] * 20
+
+
 def test_a_preset_in_pre_operational(bench: Bench) -> None:
     for _ in range(3):
         bench.at(0.25)

@@ -155,7 +155,10 @@ def test_a_state_that_save_accepts_is_restored() -> None:
     """The lowest amplitude may pass the highest until that is written, too, for another full scale."""
     store = MemoryStore()
     one = Bench(store)
-    one.sdo[0x2001][2].raw, one.sdo[0x2001][3].raw, one.sdo[0x2040][3].raw = 0x8000, 0xC00, 7
+    one.sdo[0x2001][2].raw = 0x8000
+    with pytest.raises(canopen.SdoAbortedError):  # no limit could lie above, and it could not be saved
+        one.sdo[0x2001][3].raw = 0xFFFF
+    one.sdo[0x2001][3].raw, one.sdo[0x2040][3].raw = 0xC00, 7
     one.sdo[0x1020][1].raw = 5
     one.sdo[0x2040][3].raw = 8
     assert one.sdo[0x1020][1].raw == 0, "a code is a parameter"

@@ -41,12 +41,9 @@ WRITES: dict[str, list[tuple[int, int, float]]] = {
     "no delays": [(0x2002, 6, 0.0), (0x2002, 7, 0.0), (0x2020, 3, TABLE.crc32)],
 }
 FRAMES = {
-    "stop": STOP,
-    "operational": OPERATIONAL,
-    "pre-operational": PRE_OPERATIONAL,
-    "reset": RESET_COMMUNICATION,
-    "bad length": Frame(ADC_PDO, b"\1\2\3"),
-}
+    "stop": STOP, "operational": OPERATIONAL, "pre-operational": PRE_OPERATIONAL,
+    "reset": RESET_COMMUNICATION, "bad length": Frame(ADC_PDO, b"\1\2\3"),
+}  # fmt: skip
 SAMPLES = (
     *("run", "run", "run", "still", "jump", "weak"),
     *("missed", "lost SYNC", "doubled", "doubled SYNC", "late"),

@@ -28,13 +28,9 @@ TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in
 CONDITIONING = Conditioning(3.0, -2.0, 1.01, 0.98, 0.02)
 DELAYED = Conditioning(3.0, -2.0, 1.01, 0.98, 0.02, 1e-4, 1e-3, harmonic_3_forward_real=0.02)
 LIMITS = ChainLimits(
-    sample=SampleLimits(2048, 410, 2048),
-    cycles_per_revolution=2500,
-    residual_limit=0.3,
-    coast_samples=5,
-    frozen_samples=4,
-    coarse_limit_revolutions=0.01,
-)
+    sample=SampleLimits(2048, 410, 2048), cycles_per_revolution=2500, residual_limit=0.3,
+    coast_samples=5, frozen_samples=4, coarse_limit_revolutions=0.01,
+)  # fmt: skip
 
 
 class Parts(SignalChain):

@@ -97,7 +97,7 @@ class Sync(Timed):
         counter = data[0] if data else None
         core, pdos = self._core, self._pdos
         if core.window_s:
-            core.window_end = now + core.window_s
+            core.window_end = core.call.received + core.window_s
         process = core.process
         if not pdos.operational:
             process.idle_sync_received(counter)

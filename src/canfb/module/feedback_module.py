@@ -296,6 +296,7 @@ class FeedbackModule(NodeDevice):
         self._sampling.forget_interval()
         self._declare_jitter()
         if communication_only:
+            self._publishing.alarm_again(now)
             return
         for reset in self._resets:
             reset()

@@ -246,10 +246,9 @@ class Pairing(ProcessData):
         """No SYNC and no sample for 2010:06 periods; False where the length of a period is not known."""
         syncs = self.syncs
         self.usual = NO_RPDO
-        passed = syncs.overdue(now)
         if not self.sampled:
-            syncs.until = NEVER
-        if not passed or not self.sampled:
+            self.begin()  # nothing is counted yet: the next SYNC is the first
+        if not syncs.overdue(now):
             return False
         if self._ambiguous and not self.timed:
             self._lose_count(1.0, now)  # which of them the last sample answers stays open

@@ -195,7 +195,6 @@ class Limits:
         self.on_applied: Callable[[], None] = lambda: None
         for place, (least, most) in RANGES.items():
             entry(*place).on_check = _within(least, most)
-        full_scale.on_check = refuse_if(lambda value: value <= 0)
         low.on_check = refuse_if(lambda value: value >= high.value and not self._upper_is_old)
         high.on_check = refuse_if(lambda value: value <= low.value)
         for place in APPLIED:

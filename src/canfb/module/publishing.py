@@ -136,7 +136,8 @@ class Publishing:
     def outdated(self, now: float) -> None:
         self.withhold()
         self.events.outdated(now)
-        if self.last is not None and not self.alarm.active:
+        if self.last is not None:
+            self.profile.alarm(ALARM_POSITION, True)
             self.alarm.report(False, self.last.status & ~VALID, now, self.loss)
             self.warnings.look_again()
 
@@ -153,6 +154,10 @@ class Publishing:
     def reset_alarms(self) -> None:
         self.alarm.reset()
         self.warnings.reset()
+
+    def alarm_again(self, now: float) -> None:
+        if self.last is not None and self.profile.alarms.value & ALARM_POSITION:
+            self.alarm.report(False, self.last.status & ~VALID, now, self.loss)
 
     def reset(self) -> None:
         self.latest.forget()

@@ -94,7 +94,7 @@ class Rpdo(Timed):
         self.deadline = now + self._timeout_s if self._timeout_s else NEVER
         if not self.is_synchronous:
             return True
-        if now <= self._core.window_end:
+        if self._core.call.received <= self._core.window_end:
             self._pending = data
             self.waiting += 1
         else:

@@ -77,12 +77,12 @@ class Tpdo(Timed):
         self._inhibit_s: float = self._inhibit.value / 10_000
         self._timer_s: float = self._event_timer.value / 1000 if self._event_driven else 0.0
         self.is_inhibited = self._event_driven and self._inhibit_s > 0
-        self._limited = self._inhibit_s > 0 or self._timer_s > 0
+        self._event &= self._is_active  # it still waits where another type or timer is written
+        self._limited = self._inhibit_s > 0 or self._timer_s > 0 or self._event
         self.at_event = self.send if self._event_driven and not self._limited else self.trigger
         if not self._inhibit_s:
             self._not_before = -NEVER
         self._timer_end = now + self._timer_s if self._timer_s else NEVER
-        self._event &= self._is_active  # it still waits where another timer is written
         self._waits_for_start = self._start_value.value > 0
         self.at_sync = self.send if self._type == 1 and not self._waits_for_start else self.synchronise
         self._syncs = 0

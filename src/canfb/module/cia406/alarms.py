@@ -86,6 +86,7 @@ class Warnings:
         """
         self._node, self._expects_pulse = node, expects_pulse
         self._residual_limit, self._drift_at_limit = residual_limit, drift_at_limit
+        self._status = dictionary.entry(*od.FEEDBACK_STATUS)  # a valid sample may be out of date
         self._low = dictionary.entry(*od.ENCODER_LOWEST_AMPLITUDE)
         self._mask = dictionary.entry(*od.WARNINGS_BY_EMCY)
         self._hold_ms = dictionary.entry(*od.WARNING_OVER_TIME)
@@ -136,7 +137,7 @@ class Warnings:
     def _present(self, last: Feedback | None) -> int:
         unreferenced = last is None or not last.status & REFERENCED
         warnings = NOT_REFERENCED if unreferenced and self._expects_pulse() else 0
-        if last is None or not last.valid:
+        if last is None or not self._status.value & VALID:
             return warnings
         found = {
             FREQUENCY: last.residual > NEAR_LIMIT * self._residual_limit(),

@@ -107,7 +107,7 @@ class EncoderProfile:
         self._operating = entry(*od.OPERATING_PARAMETERS)
         self._units_per_rev, self._range = entry(*od.UNITS_PER_REVOLUTION), entry(*od.TOTAL_RANGE)
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
-        self._status, self._alarms = entry(0x6500), entry(0x6503)
+        self._status, self.alarms = entry(0x6500), entry(0x6503)
         self._resolution = entry(*od.SINGLE_TURN_RESOLUTION)
         self._revolutions = entry(*od.DISTINGUISHABLE_REVOLUTIONS)
         self._offset = entry(*od.OFFSET_VALUE)
@@ -129,7 +129,7 @@ class EncoderProfile:
         self.reset()
 
     def reset(self) -> None:
-        self._alarms.value = 0
+        self.alarms.value = 0
         self.rescale()
 
     def rescale(self) -> None:
@@ -158,7 +158,7 @@ class EncoderProfile:
             self._position.value = self._fine.value = self.scale.position(*self._latest.place(last))
 
     def alarm(self, bit: int, active: bool) -> None:
-        self._alarms.value = self._alarms.value & ~bit | (bit if active else 0)
+        self.alarms.value = self.alarms.value & ~bit | (bit if active else 0)
 
     def _valid_position(self) -> int | None:
         last = self._latest.valid
@@ -173,7 +173,8 @@ class EncoderProfile:
         if value >= self.scale.total_range:
             raise SdoAbort(AbortCode.INVALID_VALUE)
         last = self._latest.feedback
-        if last is None or not last.valid or abs(last.speed_cycles) > STANDSTILL_CYCLES:
+        outdated = self.alarms.value & ALARM_POSITION  # no SYNC since: the machine may have moved
+        if last is None or not last.valid or outdated or abs(last.speed_cycles) > STANDSTILL_CYCLES:
             raise SdoAbort(AbortCode.DEVICE_STATE)
         units = self.scale.units(*self._latest.place(last))
         self._offset.value = self.scale.offset = self.scale.offset_for(units, value)
