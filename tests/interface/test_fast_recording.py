@@ -14,7 +14,7 @@ from canfb.demo.story import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer
-from canfb.simulation.encoder import Encoder, Motion, MotionSource, ShaftEncoder
+from canfb.simulation.encoder import AnalogPath, Encoder, Motion, MotionSource, ShaftEncoder
 from canfb.sources.protocol import Source
 from folding import each
 from played import Still
@@ -84,6 +84,12 @@ def test_the_reference_measurement_of_the_paper(rpm: float, errors: dict[str, An
     bench.record(2.0)
     assert bench.sdo[0x2050][2].raw == 100_001
     assert 1e-6 < peak_of(bench, Encoder(amplitude_counts=1400.0, **errors)) <= limit
+
+
+def test_the_analog_path_delays_it_too() -> None:
+    times_s = 0.1 + np.arange(500) / 50e3
+    late = turning(path=AnalogPath(cosine_delay_s=2e-5)).fast_samples(times_s, (0, 0))[:, 1]
+    np.testing.assert_allclose(late, turning().fast_samples(times_s + 2e-5, (0, 0))[:, 1], atol=1)
 
 
 def test_it_tells_what_it_does_and_what_it_has() -> None:

@@ -29,6 +29,7 @@ from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple, StoppableMot
 from canfb.simulation.scenario import MotionConfig
 from canfb.simulation.set_up import Play, SampleRecorder, of_drive, of_motion, of_recording, set_up, source_of
 from canfb.sources.protocol import SourceEnded
+from canfb.sources.recording_source import RecordingLayout, open_recording
 from folding import each
 from played import Listed, Still
 
@@ -147,6 +148,8 @@ def test_a_drive_has_its_torque_and_its_friction() -> None:
     assert demand.speed_cycles == pytest.approx(250.0), "6080h: 3000 rpm"
     assert "write 336 or less to 6072h" in (demand.warning() or "")
     assert of_drive(DriveConfig(), objects, MODULE, 1000.0).warning() is None
+    loaded = of_drive(DriveConfig(load_torque_nm=-1.5, load_at_s=1.0), objects, MODULE, 1000.0)
+    assert "less friction and torque" in (loaded.warning() or "")
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 400.0])
@@ -274,6 +277,8 @@ def test_what_is_written_as_npz_is_played_as_it_was(tmp_path: Path) -> None:
     assert played(path) == COUNTS, "not the SYNCs before the start, nor after the end"
     assert len(recorder) == len(COUNTS)
     assert float(np.load(path)["rate_hz"]) == RATE_HZ
+    source = open_recording(path, RecordingLayout(time_stamps=True, interval_s=1e-3))
+    assert [one and one.time_100ns for one in (source.next(), source.next())] == [0, 10_000]
 
 
 def test_what_is_written_as_csv_has_the_time_of_each_sample(tmp_path: Path) -> None:

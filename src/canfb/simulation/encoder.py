@@ -197,11 +197,11 @@ class ShaftEncoder:
         return turned / (at_s - before_s) * self._cycles_per_revolution
 
     def fast_samples(
-        self, revolutions: npt.NDArray[np.float64], seed: tuple[int, int]
+        self, revolutions: FloatArray, revolutions_per_s: FloatArray, seed: tuple[int, int]
     ) -> npt.NDArray[np.int16]:
         """Both tracks at these positions, shape (n, 2), ADC counts; ``seed`` is that of the noise."""
-        rng = np.random.default_rng((self._seed, *seed))
-        tracks = self._encoder.sample(revolutions * self._cycles_per_revolution, rng)
+        rng, cycles = np.random.default_rng((self._seed, *seed)), self._cycles_per_revolution
+        tracks = self._encoder.sample(revolutions * cycles, rng, revolutions_per_s * cycles)
         return np.stack(tracks, axis=-1).astype(np.int16)
 
 
@@ -389,7 +389,8 @@ class MotionSource:
         return max(0.0, now - self._start_s)
 
     def fast_samples(self, times_s: FloatArray, seed: tuple[int, int]) -> npt.NDArray[np.int16]:
-        return self._shaft.fast_samples(self.motion.revolutions_at(times_s), seed)
+        now, before = (self.motion.revolutions_at(times_s - ago_s) for ago_s in (0.0, SPEED_OVER_S))
+        return self._shaft.fast_samples(now, (now - before) / SPEED_OVER_S, seed)
 
     def sample_at(self, now: float) -> Sample:
         return self._shaft.sample(self.machine_time(now), self.motion.revolutions)

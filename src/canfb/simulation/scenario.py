@@ -99,7 +99,7 @@ class EncoderScenario(AnalogPath, TrackErrors):
 
 @dataclass(frozen=True, kw_only=True)
 class MotionConfig:
-    """Standstill, a ramp up to ``rpm``, then that speed with a ripple.
+    """Standstill, a ramp up to ``rpm``, then that speed, all with a ripple.
 
     rpm            speed after the ramp, -1e6..1e6
     standstill_s   before the ramp, 0..1e6

@@ -140,13 +140,15 @@ def of_motion(motion: MotionConfig, module: ChainConfig, rate_hz: float) -> Moti
 
 def of_drive(motor: DriveConfig, objects: Dictionary, module: ChainConfig, rate_hz: float) -> MotionDemand:
     """What a drive with these objects asks at most: its largest speed; all its torque, to brake as well."""
-    able = (motor.rated_torque_nm + motor.coulomb_friction_nm) / motor.inertia_kg_m2
+    passive = motor.coulomb_friction_nm + abs(motor.load_torque_nm)
+    able = (passive + max(motor.rated_torque_nm, motor.brake_torque_nm)) / motor.inertia_kg_m2
     speed = objects.entry(*MOST_RPM).value / 60.0 * module.cycles_per_revolution / rate_hz
     errors = 4.0 * module.phase_error_cycles
     demand = MotionDemand("drive", module, rate_hz, speed, able, errors_cycles=errors)
     followed = demand.left_rad_s2 * motor.inertia_kg_m2  # torque, Nm
-    share = (followed - motor.coulomb_friction_nm) / motor.rated_torque_nm
-    advice = f"write {int(1000 * share)} or less to 6072h" if share > 0.001 else "less friction and torque"
+    share = (followed - passive) / motor.rated_torque_nm
+    held = share > 0.001 and passive + motor.brake_torque_nm <= followed
+    advice = f"write {int(1000 * share)} or less to 6072h" if held else "less friction and torque"
     return replace(demand, advice=advice)
 
 
@@ -196,6 +198,7 @@ class SampleRecorder(SimulatedDevice):
         self._interface = interface
         self._counts = array("h")
         self._samples = 0
+        self._sync = interface.dictionary.entry(*od.SYNC_COB_ID)
         self._channels = [
             interface.dictionary.entry(*track) for track in (od.INTERFACE_SINE, od.INTERFACE_COSINE)
         ]
@@ -207,7 +210,7 @@ class SampleRecorder(SimulatedDevice):
         return with_gaps(*np.array(self._counts).reshape(-1, 2).T)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        if frame.can_id == cob.SYNC and not frame.rtr:
+        if frame.can_id == self._sync.value & cob.CAN_ID and not frame.rtr:
             if self._interface.samples > self._samples:
                 self._samples = self._interface.samples
                 self._counts.extend(int(channel.value) for channel in self._channels)

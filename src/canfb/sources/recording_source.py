@@ -129,7 +129,9 @@ def open_recording(file: str | Path, layout: RecordingLayout) -> RecordingSource
     """A recording: an NPZ file of ours by its name, which needs no layout, else CSV. CanfbError."""
     path = Path(file)
     if path.suffix.lower() == ".npz":
-        return RecordingSource(*read_tracks(path)[:2])
+        sine, cosine, *_ = read_tracks(path)
+        ticks = np.rint(np.arange(len(sine)) * (layout.interval_s / TICK_S)).astype(np.int64) & 0xFFFFFFFF
+        return RecordingSource(sine, cosine, ticks.tolist() if layout.time_stamps else None)
     timed = () if layout.time_column is None else (layout.time_column,)
     columns = read_columns(path, [str(name) for name in (*layout.columns, *timed)])
     pairs = _counts(path, columns, layout)

@@ -48,13 +48,14 @@ def plant(speed: float = 10.0, start: float = 0.0, **fields: int) -> Plant:
     return Plant(motor(0.0, speed, start, **FREE, **fields))
 
 
-@given(st.lists(st.floats(0.0, 2.0), min_size=1, max_size=20))
-def test_the_machine_turns_in_true_time_however_the_syncs_come(steps: list[float]) -> None:
-    one, now = plant(), 5.0
-    one.receive(SYNC, now)
+@given(st.lists(st.floats(0.0, 2.0), min_size=1, max_size=20), st.sampled_from([0x80, 0x81]))
+def test_the_machine_turns_in_true_time_however_the_syncs_come(steps: list[float], can_id: int) -> None:
+    one, now, sync = plant(), 5.0, Frame(can_id, b"")
+    one.sync_id = lambda: can_id  # 1005h of the drive
+    one.receive(sync, now)
     for step in steps:
         now += step
-        one.receive(SYNC, now)
+        one.receive(sync, now)
     assert one.motor.time_s == pytest.approx(now - 5.0)
     assert one.motor.revolutions == pytest.approx(10.0 * (now - 5.0) / (2 * math.pi))
     assert one.syncs == len(steps) + 1

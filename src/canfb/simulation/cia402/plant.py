@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from canfb.checks import LARGEST, flag, number_in, within
@@ -209,11 +210,12 @@ class Plant(SimulatedDevice):
         self.motor = motor
         self.syncs = 0
         self.time_base = TimeBase()
+        self.sync_id: Callable[[], int] = lambda: cob.SYNC
         self._now_s: float | None = None  # time up to which the motor has turned
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Go on to the time at which a SYNC was received; with the first one the machine begins."""
-        if frame.can_id == cob.SYNC and not frame.rtr:
+        if frame.can_id == self.sync_id() and not frame.rtr:
             received_s = self.time_base.received_at(frame, now)
             if self._now_s is None:
                 self._now_s = received_s
