@@ -367,10 +367,10 @@ def test_both_methods_give_one_table(conditioning):
     assert slow.conditioning.is_identity == (conditioning is None)
 
 
-WRONG = {"entries": [8, 64.5], "conditioning": ["ellipse"], "valid": [[True]], "time_s": [[0.0], [1j]]}
+WRONG = [("entries", 8, 64.5), ("conditioning", "ellipse"), ("valid", [True]), ("time_s", [0.0], [1j])]
 
 
-@pytest.mark.parametrize("wrong", [{name: value} for name, values in WRONG.items() for value in values])
+@pytest.mark.parametrize("wrong", [{name: value} for name, *values in WRONG for value in values])
 def test_wrong_arguments_raise(wrong):
     sine, cosine = Encoder().sample(np.arange(2000) / 50.0)
     for method in (calibrate_from_zero_crossings, calibrate_from_motion):
