@@ -180,4 +180,4 @@ def test_a_preset_in_pre_operational(bench: Bench) -> None:
     bench.sdo[0x6003].raw = 77
     assert bench.sdo[0x6004].raw == 77
     bench.start()
-    assert bench.at(0.25)[0] == 77
+    assert (bench.sdo[0x6503].raw, bench.at(0.25)[0]) == (ALARM_POSITION, 77), "no sample, then one"

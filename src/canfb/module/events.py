@@ -170,7 +170,7 @@ class EventWatch(NodeEvents):
     def outdated(self, now: float) -> None:
         if self._state is PositionState.VALID:
             self._state, self.status, self._not_valid_s = PositionState.NOT_VALID, NO_STATUS, now
-            text = "position not valid: no SYNC and no sample"
+            text = "position not valid: no sample"
             self._report(EventKind.POSITION, now, text, state=self._state)
 
     def fault(self, feedback: Feedback, now: float) -> None:

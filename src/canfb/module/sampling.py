@@ -76,7 +76,7 @@ class Sampling:
         if not chain.begun:
             self._go_on(now)
         self._publishing.prediction.pause(self._publishing.last)
-        self._publishing.withhold()
+        self._publishing.outdated(now)
 
     def _go_on(self, now: float) -> None:
         """The first sample: nothing was counted since the last SYNC, whose sample may not have come."""

@@ -49,7 +49,7 @@ class PositionAlarm:
 
 
 FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED, DISAGREES, DRIFT = (1 << n for n in (0, 1, 5, 12, 13))  # 6505h
-EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW | DRIFT  # what each sample can bring or end
+EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW | DISAGREES | DRIFT  # what each sample can bring or end
 CODES = {  # EMCY of each warning
     FREQUENCY: od.EncoderEmergency.FREQUENCY,
     AMPLITUDE_LOW: od.EncoderEmergency.AMPLITUDE_LOW,
