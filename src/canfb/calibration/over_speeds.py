@@ -11,7 +11,6 @@ again.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -353,6 +352,6 @@ def counts_at(hertz: float, cosine_delay_s: float, corners: Corners) -> bool:
 
     A module would correct them twice: their part of the error is in the table of this speed already.
     """
-    turned = 2.0 * math.pi * abs(hertz * cosine_delay_s)
+    turned = 2.0 * np.pi * abs(hertz * cosine_delay_s)
     passed = [abs(hertz) / hz for hz in (corners.corner_hz, corners.of_cosine_hz) if hz]
     return turned + max(passed, default=0.0) > MOST_EFFECT_RAD

@@ -249,7 +249,7 @@ def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | No
         if not fitting:
             return np.zeros_like(usable)
         adc_bits = fitting[0]
-    full = 1 << int(adc_bits) - 1 if adc_bits in range(4, 17) else 0
+    full = 1 << int(adc_bits) - 1 if adc_bits in range(4, 17) else 0  # 0: nothing fits
     if low < -full or high > full - 1:
         raise ValueError(
             f"samples from {low:g} to {high:g} counts do not fit {adc_bits} bits: set adc_bits (4 to 16)"

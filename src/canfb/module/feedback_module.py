@@ -13,7 +13,7 @@ from canfb.device.od.dictionary import Entry
 from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import Store
 from canfb.module.cia406.alarms import REGISTER
-from canfb.module.cia406.profile import ALARM_PARAMETERS, OperatingTime, make_cyclic_timer
+from canfb.module.cia406.profile import ALARM_PARAMETERS, ALARM_POSITION, OperatingTime, make_cyclic_timer
 from canfb.module.events import EventWatch
 from canfb.module.interval import InterfaceGrid, SamplingInterval
 from canfb.module.jitter_watch import JitterWatch
@@ -296,7 +296,8 @@ class FeedbackModule(NodeDevice):
         self._sampling.forget_interval()
         self._declare_jitter()
         if communication_only:
-            self._publishing.alarm_again(now)
+            if self._publishing.profile.alarms.value & ALARM_POSITION:
+                self._publishing.outdated(now)  # an error that persists is told again
             return
         for reset in self._resets:
             reset()

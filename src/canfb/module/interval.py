@@ -81,7 +81,8 @@ class InterfaceGrid:
 
         Another rate loses a machine that moves: the interface may still sample at the old.
         """
-        learned_s, grid_s, chain = self._learned_s, self._grid_s(), self._chain
+        learned_s = self._learned_s  # before the next line learns
+        grid_s, chain = self._grid_s(), self._chain
         # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
         chain.measures_intervals = grid_s > 0.0
         if abs(grid_s - chain.sync_interval_s) > SAME_GRID * grid_s:

@@ -155,10 +155,6 @@ class Publishing:
         self.alarm.reset()
         self.warnings.reset()
 
-    def alarm_again(self, now: float) -> None:
-        if self.last is not None and self.profile.alarms.value & ALARM_POSITION:
-            self.alarm.report(False, self.last.status & ~VALID, now, self.loss)
-
     def reset(self) -> None:
         self.latest.forget()
         self.events.reset()

@@ -397,7 +397,7 @@ class SdoTasks:
 
 _ERRORS = (0x1003, 0)
 # Objects whose sub-index 0 says more than how many there are.
-_COUNTED = frozenset({0x1003, *range(0x1600, 0x1800), *range(0x1A00, 0x1C00)})
+_COUNTED = frozenset({_ERRORS[0], *range(0x1600, 0x1800), *range(0x1A00, 0x1C00)})
 
 
 def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDescriptions:

@@ -62,6 +62,10 @@ class SyncTiming:
 REGULAR = SyncTiming()
 
 
+def is_sync(frame: Frame, cob_id: int = cob.SYNC) -> bool:
+    return frame.can_id == cob_id & cob.CAN_ID and not frame.rtr
+
+
 class SimulatedDevice:
     """A device that sends a frame at ``_next_s``, None: none; a subclass overrides what it does beyond."""
 
@@ -197,7 +201,7 @@ class WatchedSyncProducer(SyncProducer):
         self._said_s = -math.inf
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        self._foreign += frame.can_id == cob.SYNC and not frame.rtr
+        self._foreign += is_sync(frame)
         return []
 
     def bus_off(self, now: float) -> list[Frame]:

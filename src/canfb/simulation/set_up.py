@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from canfb import objects as od
-from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.node import Device
@@ -27,7 +26,13 @@ from canfb.signal.limits import max_acceleration
 from canfb.signal.phase import FloatArray, phase_in_cycle
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant, PlantSource
-from canfb.simulation.embedded_bus import IN_SLOW_MOTION, IN_TRUE_TIME, SimulatedDevice, WatchedSyncProducer
+from canfb.simulation.embedded_bus import (
+    IN_SLOW_MOTION,
+    IN_TRUE_TIME,
+    SimulatedDevice,
+    WatchedSyncProducer,
+    is_sync,
+)
 from canfb.simulation.encoder import MotionSource, StoppableMotion
 from canfb.simulation.scenario import MotionConfig, SimulationConfig
 from canfb.sources.protocol import Source
@@ -210,7 +215,7 @@ class SampleRecorder(SimulatedDevice):
         return with_gaps(*np.array(self._counts).reshape(-1, 2).T)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        if frame.can_id == self._sync.value & cob.CAN_ID and not frame.rtr:
+        if is_sync(frame, self._sync.value):
             if self._interface.samples > self._samples:
                 self._samples = self._interface.samples
                 self._counts.extend(int(channel.value) for channel in self._channels)
@@ -233,7 +238,7 @@ class SlowMotion(SimulatedDevice, TimeBase):
         self.time_s = 0.0  # The time of the machine.
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        if frame.can_id == self._cob_id.value & cob.CAN_ID and not frame.rtr:
+        if is_sync(frame, self._cob_id.value):
             self.time_s += self._period.value * 1e-6 or self._interval_s
         return []
 

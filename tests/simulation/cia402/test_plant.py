@@ -51,7 +51,7 @@ def plant(speed: float = 10.0, start: float = 0.0, **fields: int) -> Plant:
 @given(st.lists(st.floats(0.0, 2.0), min_size=1, max_size=20), st.sampled_from([0x80, 0x81]))
 def test_the_machine_turns_in_true_time_however_the_syncs_come(steps: list[float], can_id: int) -> None:
     one, now, sync = plant(), 5.0, Frame(can_id, b"")
-    one.sync_id = lambda: can_id  # 1005h of the drive
+    one.sync_cob_id = lambda: can_id  # 1005h of the drive
     one.receive(sync, now)
     for step in steps:
         now += step

@@ -53,7 +53,7 @@ class ServoDrive(MachineNode):
         self._events: list[int] = []
         entry = self.dictionary.entry
         sync = entry(*od.SYNC_COB_ID)
-        plant.sync_id = lambda: sync.value & cob.CAN_ID
+        plant.sync_cob_id = lambda: sync.value
         self._period, self._cycle, self._dead = entry(0x1006), entry(0x2101, 1), entry(0x2101, 2)
         self._statusword, self._error = entry(0x6041), entry(0x603F)
         self._torque = entry(0x6077)

@@ -16,7 +16,7 @@ from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import TimeBase
 from canfb.signal.sample import Sample
-from canfb.simulation.embedded_bus import SimulatedDevice
+from canfb.simulation.embedded_bus import SimulatedDevice, is_sync
 from canfb.simulation.encoder import ShaftEncoder
 
 LONGEST_STEP_S = 1e-4
@@ -210,12 +210,12 @@ class Plant(SimulatedDevice):
         self.motor = motor
         self.syncs = 0
         self.time_base = TimeBase()
-        self.sync_id: Callable[[], int] = lambda: cob.SYNC
+        self.sync_cob_id: Callable[[], int] = lambda: cob.SYNC
         self._now_s: float | None = None  # time up to which the motor has turned
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Go on to the time at which a SYNC was received; with the first one the machine begins."""
-        if frame.can_id == self.sync_id() and not frame.rtr:
+        if is_sync(frame, self.sync_cob_id()):
             received_s = self.time_base.received_at(frame, now)
             if self._now_s is None:
                 self._now_s = received_s
