@@ -322,7 +322,7 @@ def test_the_amplitude_is_within_its_limits_at_every_write() -> None:
 def test_when_the_corner_is_proposed(
     low_pass: LowPass | None, before: float, words: str | None, changes: bool
 ) -> None:
-    limits = SupervisionLimits({CORNER.place: before}, 2048, 2500, 3)
+    limits = SupervisionLimits({CORNER.place: before})
     found = corner_choice(low_pass, limits)
     assert (found is None) == (words is None)
     if found is not None and words is not None:

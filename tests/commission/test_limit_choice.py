@@ -87,7 +87,7 @@ def test_the_limits_are_near_the_truth_detect_glitches_and_hold_on_ten_times_mor
     limit = choices[od.SUPERVISION_RESIDUAL_LIMIT].value / 65536
     assert limit >= max(0.02, 2.0 * true + 6.0 * math.sqrt(6.0) * motion.noise) or limit == 21845 / 65536
     assert limit <= max(0.0201, 2.0 * (true + 20.0 * motion.noise) + 0.001) or name == "jitter"
-    largest = new.bounds(1.0 / RATE_HZ).acceleration or 0.0
+    largest = new.chain_limits(1.0 / RATE_HZ).acceleration or 0.0
     assert largest >= 0.95 * 2.0 * low * true
     assert largest <= max(2.1 * high * true, limit - 0.049)
     assert choices[od.SUPERVISION_ACCELERATION].value <= max_acceleration(N, RATE_HZ) * (1 + 1e-6)
@@ -97,7 +97,7 @@ def test_the_limits_are_near_the_truth_detect_glitches_and_hold_on_ten_times_mor
     position = machine.positions(COUNT)
     true = float(np.abs(np.diff(position, 2)).max())
     size = 2 * math.pi * machine.encoder.amplitude_counts
-    least = new.bounds(1.0 / RATE_HZ).residual_limit + true
+    least = new.chain_limits(1.0 / RATE_HZ).residual_limit + true
     least += 8.0 * math.sqrt(6.0) * (machine.encoder.noise_lsb + 0.3) / size
     if least < 0.5:
         rng = np.random.default_rng(8)
@@ -149,7 +149,7 @@ def test_a_machine_that_never_stops_or_is_slow_keeps_what_it_does_not_show() -> 
     assert choices[od.ENCODER_LOWEST_AMPLITUDE].changes
     _, new, choices = machine.commissioned(COUNT, known=50.0)
     assert choices[od.SUPERVISION_ACCELERATION].value == pytest.approx(50.0, rel=0.01)
-    limit = new.bounds(1.0 / RATE_HZ).residual_limit
+    limit = new.chain_limits(1.0 / RATE_HZ).residual_limit
     assert 50.0 * N / 2 / math.pi / 1e6 < limit < 0.03
     _, _, choices = SimulatedMachine(duty(2.0, 0.5), GOOD).commissioned(COUNT)
     assert not choices[od.SUPERVISION_PHASE_ERROR].changes
@@ -158,7 +158,7 @@ def test_a_machine_that_never_stops_or_is_slow_keeps_what_it_does_not_show() -> 
 
 def test_a_larger_margin_gives_wider_limits() -> None:
     limits = [fresh("fast").commissioned(COUNT, margin)[1] for margin in (1.2, 2.0, 3.0)]
-    residual = [one.bounds(1.0 / RATE_HZ).residual_limit for one in limits]
+    residual = [one.chain_limits(1.0 / RATE_HZ).residual_limit for one in limits]
     assert residual == sorted(residual)
     assert residual[0] < residual[1] < residual[2]
 

@@ -19,7 +19,7 @@ from canfb.diagnosis.lost import Loss, LostPosition, read_lost_position
 from canfb.hosting import self_diagnosis
 from canfb.objects import LossCause, StatusBit
 from canfb.rows import age_words
-from canfb.view.module_view import LimitSettings
+from canfb.view.module_view import limit_settings
 from commands import Command
 from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench
 from documentation import blocks, page
@@ -119,11 +119,12 @@ def test_sdo_says_what_explains_a_lost_position(canfb: Commands) -> None:
     assert canfb(bench, "sdo", "read", NODE, "2012:16")[0].endswith(": 64 (missed)\n")
 
 
+USUAL = limit_settings(lambda place: None)
 LOST = LostPosition(
     node_id=32, status=int(StatusBit.LOST), losses=1, missed=3, missed_syncs=0,
     loss=Loss(LossCause.AMBIGUOUS, 3.0, 3, 0.2, 0.333, 1.2, int(StatusBit.MISSED)),
-    sample_hz=100.0, cycles_per_revolution=2500, coast_samples=8,
-    limits=LimitSettings(widest_cycles=1 / 3, acceleration_rad_s2=0.25),
+    sample_hz=100.0,
+    limits=replace(USUAL, coast_samples=8, widest_cycles=1 / 3, acceleration_rad_s2=0.25),
     coarse=False, zero_pulse=False, second=False,
 )  # fmt: skip
 
@@ -164,10 +165,10 @@ def test_2010_03_counts_intervals_of_sync() -> None:
 
 
 def test_more_coasting_is_not_proposed_where_it_cannot_help() -> None:
-    coasted = replace(LOST, loss=replace(LOST.loss, cause=LossCause.COASTED), coast_samples=20)  # type: ignore[type-var]
-    assert "more would not help at this acceleration" in coasted.would_have_kept()[0]
-    assert "a larger value" in replace(coasted, coast_samples=3).would_have_kept()[0]
-    assert "the most that it can" in replace(coasted, coast_samples=255).would_have_kept()[0]
+    loss = replace(LOST.loss, cause=LossCause.COASTED)  # type: ignore[type-var]
+    said = {20: "more would not help at this acceleration", 3: "a larger value", 255: "the most that it can"}
+    for many, words in said.items():
+        assert words in replace(with_limits(coast_samples=many), loss=loss).would_have_kept()[0]
 
 
 @each("cause", list(LossCause)[1:])
@@ -185,8 +186,8 @@ def test_ages() -> None:
 def test_the_page_shows_what_the_command_prints() -> None:
     (shown,) = blocks(PAGE, "text")
     loss = Loss(LossCause.COASTED, 12.4, 4, 0.5, 1 / 3, 1.2, int(StatusBit.MISSED))
-    undeclared = with_limits(acceleration_rad_s2=0.0)
-    lost = replace(undeclared, loss=loss, missed=4, missed_syncs=3, coast_samples=3)
+    undeclared = with_limits(acceleration_rad_s2=0.0, coast_samples=3)
+    lost = replace(undeclared, loss=loss, missed=4, missed_syncs=3)
     assert "\n".join(lost.lines()).startswith(shown.rstrip())
 
 

@@ -294,9 +294,9 @@ def test_the_noise_that_was_read(noise: int | None, limit: float) -> None:
 def test_sample_times_widen_it_at_speed() -> None:
     module = started(max_acceleration_rad_s2=40.0, times=True)
     supervision = known_layouts(Config(modules=[module.config]))[0].supervision
-    slow, fast = (supervision.limit_cycles(2500, 1000.0, None, velocity) for velocity in (0.0, 314.159))
+    slow, fast = (supervision.limit_cycles(1000.0, None, velocity) for velocity in (0.0, 314.159))
     assert fast - slow == pytest.approx(4 * 125_000 * 50e-9, rel=1e-4)
-    assert supervision.limit_cycles(2500, 1000.0, None, 1e9) == supervision.widest_cycles
+    assert supervision.limit_cycles(1000.0, None, 1e9) == supervision.widest_cycles
 
 
 def test_pairs_are_counted_to_the_first_that_is_not_mapped() -> None:

@@ -170,7 +170,7 @@ def test_mapping_counters_and_table_are_those_of_the_module() -> None:
     watched.bench.module.dictionary.entry(*od.COUNTER_MISSED).value = 7
     reading = watched.read()
     assert reading is not None
-    assert (reading.layout.origin, reading.layout.full_scale_counts) == ("module", 8192)
+    assert (reading.layout.origin, reading.layout.supervision.sample.full_scale_counts) == ("module", 8192)
     assert reading.layout.assumed == frozenset()
     assert reading.values[od.COUNTER_MISSED] == 7
     assert reading.correction == NO_CORRECTION

@@ -24,19 +24,19 @@ from canfb.planning.coverage import (
 )
 from canfb.planning.plan_rows import coverage_rows
 from canfb.rows import as_figures
+from canfb.signal.supervision import SampleLimits
 from commands import Command
 from documentation import blocks, page
 
 DEFAULT = SampleWindow(
-    full_scale_counts=2048,
-    low_counts=410,
-    high_counts=2560,
+    sample=SampleLimits(2048, 410, 2560),
     nominal_counts=1500.0,
     limit_cycles=1.0 / 3.0,
     motion_cycles=0.01,
     tolerance_cycles=25.0,
 )
-COMMISSIONED = replace(DEFAULT, low_counts=1200, high_counts=1800, limit_cycles=0.06)
+COMMISSIONED = replace(DEFAULT, sample=SampleLimits(2048, 1200, 1800), limit_cycles=0.06)
+WIDE = replace(DEFAULT, sample=SampleLimits(2048, 0, 4000))
 PAGE = page("evidence")
 
 
@@ -45,12 +45,13 @@ def found(window: SampleWindow) -> dict[str, FaultCoverage]:
     return {one.name: one for one in fault_coverage(window)}
 
 
-@pytest.mark.parametrize("window", [DEFAULT, COMMISSIONED, replace(DEFAULT, low_counts=0, high_counts=4000)])
+@pytest.mark.parametrize("window", [DEFAULT, COMMISSIONED, WIDE])
 def test_the_area_is_that_of_any_voltages(window: SampleWindow) -> None:
     n = 1000
-    axis = (np.arange(n) + 0.5) / n * 2.0 * window.full_scale_counts - window.full_scale_counts
+    sample = window.sample
+    axis = (np.arange(n) + 0.5) / n * 2.0 * sample.full_scale_counts - sample.full_scale_counts
     length = np.hypot(axis[:, None], axis[None, :])
-    allowed = ((length >= window.low_counts) & (length <= window.high_counts)).mean()
+    allowed = ((length >= sample.amplitude_low_counts) & (length <= sample.amplitude_high_counts)).mean()
     shares = area_coverage(window)
     assert shares.amplitude == pytest.approx(1.0 - allowed, abs=1e-3)
     assert shares.residual == pytest.approx(1.0 - allowed * 2.0 * window.limit_cycles, abs=1e-3)
@@ -61,7 +62,7 @@ def test_the_window_of_a_plan() -> None:
     plan = planned(acceleration_rad_s2=25.0, residual_limit=0.06)
     (budget,) = plan.budgets
     window = window_of(budget)
-    assert (window.low_counts, window.high_counts) == (410, 2560)
+    assert window.sample == SampleLimits(2048, 410, 2560)
     assert window.limit_cycles == pytest.approx(0.06, abs=2e-5)
     assert window.motion_cycles == pytest.approx(25.0 * 2500 / (2 * math.pi) * 1e-6)
     assert window.tolerance_cycles == 25.0

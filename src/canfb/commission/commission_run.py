@@ -80,18 +80,20 @@ class Commissioned:
     @property
     def largest_acceleration(self) -> float:
         """Of the machine, cycles per interval squared: 2010:02, or what was seen while that is not known."""
-        return self.new.bounds(self.observed.interval_s).acceleration or self.observed.motion.acceleration
+        return (
+            self.new.chain_limits(self.observed.interval_s).acceleration or self.observed.motion.acceleration
+        )
 
     def deviation(self, limits: SupervisionLimits) -> float:
         """L + a of docs/supervision.md with these limits; cycles."""
-        return limits.bounds(self.observed.interval_s).residual_limit + self.largest_acceleration
+        return limits.chain_limits(self.observed.interval_s).residual_limit + self.largest_acceleration
 
     def without_harm(self, limits: SupervisionLimits) -> int:
         return samples_without_harm(self.deviation(limits))
 
 
 def machine_facts(done: Commissioned) -> list[Row]:
-    machine, n = done.observed, done.new.cycles_per_revolution
+    machine, n = done.observed, done.new.settings.cycles_per_revolution
     motion, tracks, samples = machine.motion, machine.tracks, done.observed.samples
     slowest, fastest = (machine.rad(speed, 1, n) * RPM for speed in (motion.slowest, motion.fastest))
     acceleration, jerk = machine.rad(motion.acceleration, 2, n), machine.rad(motion.jerk, 3, n)
@@ -193,7 +195,7 @@ def notes(done: Commissioned) -> list[str]:
     missed = done.observed.samples.missed
     return those(
         (
-            done.observed.motion.turned < done.new.cycles_per_revolution,
+            done.observed.motion.turned < done.new.settings.cycles_per_revolution,
             "the machine moved less than one revolution: the amplitude elsewhere on the scale is not known",
         ),
         (missed, f"{missed} samples did not come: each is flagged, whatever the limits"),
@@ -202,7 +204,7 @@ def notes(done: Commissioned) -> list[str]:
 
 def limit_rows(done: Commissioned) -> list[Row]:
     """Object and name; before, proposed, why."""
-    interval_s, n = done.observed.interval_s, done.new.cycles_per_revolution
+    interval_s, n = done.observed.interval_s, done.new.settings.cycles_per_revolution
     return [
         Row(
             f"{od.place_text(one.place)} {KINDS[one.place].name}",
@@ -237,8 +239,8 @@ def kept_words(done: Commissioned) -> str:
     before, new = (one.chain_limits(interval_s).kept_samples(motion) for one in (done.before, done.new))
     return (
         f"After up to {new} missed or flagged samples in a row the position is certain, {before} with the "
-        f"limits before (2010:03 bridges {done.new.coast_samples}). A machine that exceeds the acceleration "
-        "or the phase error declared here can leave a position valid and wrong after a fault"
+        f"limits before (2010:03 bridges {done.new.settings.coast_samples}). A machine that exceeds the "
+        "acceleration or the phase error declared here can leave a position valid and wrong after a fault"
     )
 
 
@@ -257,7 +259,7 @@ def findings(done: Commissioned) -> Findings:
     figures = Row(
         margin=done.wishes.margin,
         notes=notes(done),
-        residual_limit_in_force_cycles=done.new.bounds(interval_s).residual_limit,
+        residual_limit_in_force_cycles=done.new.chain_limits(interval_s).residual_limit,
         deviation_cycles=done.deviation(done.new),
         deviation_before_cycles=done.deviation(done.before),
         bad_samples_detected=done.without_harm(done.new),
@@ -297,12 +299,12 @@ def write_page(folder: Path, done: Commissioned) -> Path:
 
 def _pictures(done: Commissioned) -> list[str]:
     machine, interval_s = done.observed, done.observed.interval_s
-    old, new = (limits.bounds(interval_s).residual_limit for limits in (done.before, done.new))
+    old, new = (limits.chain_limits(interval_s).residual_limit for limits in (done.before, done.new))
     low, high = (
         done.new.values[place] for place in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
     )
-    largest = done.new.bounds(interval_s).acceleration or 0.0
-    to_rad = machine.rad(1.0, 2, done.new.cycles_per_revolution)
+    largest = done.new.chain_limits(interval_s).acceleration or 0.0
+    to_rad = machine.rad(1.0, 2, done.new.settings.cycles_per_revolution)
     return [
         figure(
             "Residual",

@@ -86,10 +86,10 @@ def choose(
     before, corner = limits.values, corner_choice(machine.low_pass, limits)
     error, why = _phase_error(machine.motion, margin)
     error = before[od.SUPERVISION_PHASE_ERROR] if error is None else error
-    most_jitter_s = UNDECLARED * machine.interval_s * limits.motion.samples_per_sync
+    most_jitter_s = UNDECLARED * machine.interval_s * limits.settings.samples_per_sync
     chosen = {
         **_amplitude(machine.tracks, margin),
-        **_motion(machine, limits.cycles_per_revolution, error / LIMIT_UNITS, margin, known_rad_s2),
+        **_motion(machine, limits.settings.cycles_per_revolution, error / LIMIT_UNITS, margin, known_rad_s2),
         od.SUPERVISION_PHASE_ERROR: (error, why),
         od.SUPERVISION_FROZEN: _frozen(machine, margin),
         od.SUPERVISION_COARSE_LIMIT: _coarse(machine, margin),
@@ -108,7 +108,7 @@ def choose(
 
 def corner_choice(low_pass: LowPass | None, limits: SupervisionLimits) -> Choice | None:
     """2001:05 as the amplitude shows it; None where it shows none, and none is set."""
-    before = limits.corners.corner_hz
+    before = limits.settings.corners.corner_hz
     if low_pass is None or (not low_pass.is_detected and not before):
         return None
     measured = f"{PERCENT * low_pass.left:.0f} % of the amplitude at the highest speed"
@@ -118,7 +118,7 @@ def corner_choice(low_pass: LowPass | None, limits: SupervisionLimits) -> Choice
         why = f"{measured}, which does not fall as by one pole: canfb calibrate --speeds, or data sheets"
         return Choice(CORNER.place, before, before, why)
     measured += f": {low_pass.corner_hz / 1e3:.4g} ± {low_pass.corner_sigma_hz / 1e3:.1g} kHz"
-    if limits.motion.corners.cosine_corner_hz or (
+    if limits.settings.corners.cosine_corner_hz or (
         before and abs(low_pass.corner_hz - before) <= max(SAME_CORNER * before, low_pass.corner_sigma_hz)
     ):
         return Choice(CORNER.place, before, before, measured)
@@ -289,7 +289,7 @@ def observe(
             f"of {len(samples)} samples many are flagged already ({in_words(flagged)}): find the cause first "
             "(docs/supervision.md)"
         )
-    low_pass = low_pass_of(followed, interval_s, limits.corners)
+    low_pass = low_pass_of(followed, interval_s, limits.settings.corners)
     corner = corner_choice(low_pass, limits)
     if corner is not None and corner.changes:
         # With it the amplitude is another one: the limits of before say nothing about that.
@@ -317,7 +317,7 @@ def observe(
         interval_s=interval_s,
         coarse_spread=spread,
         coarse_note=note,
-        longest_pause=_longest_pause(samples, interval_s, limits.motion.samples_per_sync),
+        longest_pause=_longest_pause(samples, interval_s, limits.settings.samples_per_sync),
         jitter_s=jitter_s,
         off_grid_s=off_grid_s,
         low_pass=low_pass,
@@ -336,7 +336,7 @@ def _follow(
     time = np.arange(float(len(samples))) if samples.time_s is None else samples.time_s / interval_s
     place = positions(phase, time, samples.time_s is not None, np.zeros(0, np.int64))
     speed = np.diff(place) / np.diff(time)
-    to_cycles = limits.cycles_per_revolution * interval_s / (2.0 * math.pi)
+    to_cycles = limits.settings.cycles_per_revolution * interval_s / (2.0 * math.pi)
     apart = [
         one.rad_per_s * to_cycles - speed[min(max(round(one.at), 0), len(speed) - 1)] for one in readings
     ]
@@ -363,8 +363,8 @@ def _coarse_spread(
 ) -> tuple[float | None, str]:
     if samples.coarse is None:
         return None, "no coarse track is mapped"
-    n = limits.cycles_per_revolution
-    track = CoarseTrack(n, limits.full_scale_counts, MOST_DIFFERENCE)
+    n = limits.settings.cycles_per_revolution
+    track = CoarseTrack(n, limits.settings.sample.full_scale_counts, MOST_DIFFERENCE)
     use = followed.valid & np.isfinite(samples.coarse[0]) & np.isfinite(samples.coarse[1])
     if not use.any() or np.ptp(followed.position[use]) < n:
         return None, "the machine moved less than a revolution: the error of the coarse track is not known"

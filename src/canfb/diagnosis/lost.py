@@ -122,8 +122,6 @@ class LostPosition:
     missed: int
     missed_syncs: int
     sample_hz: float
-    cycles_per_revolution: int
-    coast_samples: int
     limits: LimitSettings
     coarse: bool
     zero_pulse: bool
@@ -156,7 +154,7 @@ class LostPosition:
             "counters": {"losses": self.losses, "missed": self.missed, "syncs_not_heard": self.missed_syncs},
             "limits": {
                 "acceleration_rad_s2": self.limits.acceleration_rad_s2,
-                "coast_samples": self.coast_samples,
+                "coast_samples": self.limits.coast_samples,
                 "residual_limit_cycles": self.limits.widest_cycles,
             },
             "mapped": {
@@ -208,7 +206,7 @@ class LostPosition:
                 (
                     loss.bad_samples,
                     f"{loss.bad_samples} samples in a row missed or bad{f' ({faults})' if faults else ''}; "
-                    f"2010:03 bridges {self.coast_samples}",
+                    f"2010:03 bridges {self.limits.coast_samples}",
                 ),
                 (faults and not loss.bad_samples, f"faults since the last valid position: {faults}"),
             ),
@@ -220,7 +218,7 @@ class LostPosition:
     def _speed_words(self, cycles: float) -> str:
         if not self.sample_hz:
             return f"{cycles:.3g} cycles per interval"
-        rpm = cycles * self.sample_hz / self.cycles_per_revolution * 60.0
+        rpm = cycles * self.sample_hz / self.limits.cycles_per_revolution * 60.0
         return f"{cycles:.3g} cycles per interval, {rpm:.3g} rpm"
 
     def brings_back(self) -> list[str]:
@@ -244,7 +242,7 @@ class LostPosition:
             return []
         cause, missed, residual = loss.cause, loss.faults & StatusBit.MISSED, loss.faults & StatusBit.RESIDUAL
         rate = f" at {self.sample_hz:.4g} Hz and 2010:01: a faster SYNC, or a gentler motion"
-        limits = self.cycles_per_revolution, self.sample_hz, self.limits.widest_cycles
+        limits = self.limits.cycles_per_revolution, self.sample_hz, self.limits.widest_cycles
         gentler = cause in MOTION and self.sample_hz > 0.0 and not in_force.acceleration_rad_s2
         largest = max_acceleration(*limits) if gentler else 0.0
         doubtful = cause is LossCause.AMBIGUOUS or (cause is LossCause.COASTED and missed)
@@ -265,10 +263,10 @@ class LostPosition:
         )
 
     def _longer(self, loss: Loss) -> str:
-        bridged = self.coast_samples * self.limits.samples_per_sync
+        bridged = self.limits.coast_samples * self.limits.samples_per_sync
         time = f", {bridged / self.sample_hz * 1e3:.3g} ms" if self.sample_hz else ""
         text = f"2010:03 bridges {bridged} samples{time}"
-        if self.coast_samples >= MOST_MISSED:
+        if self.limits.coast_samples >= MOST_MISSED:
             return f"{text}, the most that it can"
         most = self.longest_gap() if loss.faults & StatusBit.MISSED else None
         if most is not None and most <= bridged:
@@ -285,13 +283,13 @@ class LostPosition:
         """Missed samples over which 2010:02 leaves one motion, or None."""
         if not (self.limits.acceleration_rad_s2 and self.sample_hz):
             return None
-        n, interval_s = self.cycles_per_revolution, 1.0 / self.sample_hz
+        n, interval_s = self.limits.cycles_per_revolution, 1.0 / self.sample_hz
         largest = cycles_per_interval_squared(self.limits.acceleration_rad_s2, n, interval_s)
         return kept_samples(largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
 
     def _narrow(self, loss: Loss) -> list[tuple[bool, str]]:
-        rates = self.cycles_per_revolution, self.sample_hz / self.limits.samples_per_sync
-        now_cycles, needed = self.limits.limit_cycles(*rates), self.limits.needed_cycles(*rates)
+        sync_hz = self.sample_hz / self.limits.samples_per_sync
+        now_cycles, needed = self.limits.limit_cycles(sync_hz), self.limits.needed_cycles(sync_hz)
         then, now = f"{loss.limit_cycles:.3g} cycle", f"{now_cycles:.3g} cycle"
         reasons = (
             (
@@ -332,8 +330,6 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
         missed=int(module.read_known(od.COUNTER_MISSED) or 0),
         missed_syncs=int(module.read_known(od.COUNTER_SYNCS_NOT_HEARD) or 0),
         sample_hz=sample_hz,
-        cycles_per_revolution=module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
-        coast_samples=module.integer(*od.SUPERVISION_COAST, "B"),
         coarse=od.SAMPLE_COARSE_SINE.mapped(16) in mapped and od.SAMPLE_COARSE_COSINE.mapped(16) in mapped,
         zero_pulse=od.SAMPLE_FLAGS.mapped(8) in mapped,
         second=od.SAMPLE_SECOND_POSITION.mapped(32) in mapped and tolerance > 0.0,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 from canfb import objects as od
@@ -16,12 +17,11 @@ from canfb.master.samples import Listener, TrackSamples, listen, record
 from canfb.signal.chain_config import ChainLimits
 from canfb.signal.correction import Correction
 from canfb.signal.front_end import Corners
-from canfb.signal.limits import Declared
 from canfb.signal.supervision import SampleLimits
 from canfb.view.module_view import (
     LIMIT_UNITS,
-    NOTHING_NARROWS,
     LimitSettings,
+    Number,
     PdoLayout,
     interface_layout,
     limit_settings,
@@ -58,18 +58,13 @@ KINDS = {one.place: one for one in (*LIMITS, CORNER, JITTER)}
 
 @dataclass(frozen=True)
 class SupervisionLimits:
-    """Values of :data:`LIMITS` in their units, and what the chain needs beside them.
+    """The objects that :attr:`settings` come from, and what the chain needs beside them.
 
-    coast_samples           2010:03
-    motion                  noise margin, samples per SYNC, sample times
+    values                  :data:`LIMITS` in their units, those that other settings depend on, the RPDOs
     noise_cycles            2011:0B; None: not known
     """
 
     values: Mapping[od.Multiplexer, float]
-    full_scale_counts: int
-    cycles_per_revolution: int
-    coast_samples: int
-    motion: LimitSettings = NOTHING_NARROWS
     noise_cycles: float | None = None
 
     @classmethod
@@ -79,49 +74,26 @@ class SupervisionLimits:
             values[place] = module.read(*place, layout)
             if not math.isfinite(values[place]):
                 raise CommissioningError(f"{module.name}: {od.place_text(place)}, {name}, is {values[place]}")
-        jitter_s = module.read_known(JITTER.place)  # an older module does not have it
+        others: dict[od.Multiplexer, Number | None] = {}
+        limit_settings(lambda place: others.setdefault(place, module.read_known(place)))
+        known = {place: value for place, value in others.items() if value is not None}
         return cls(
-            values if jitter_s is None else {**values, JITTER.place: jitter_s},
-            module.integer(*od.ENCODER_FULL_SCALE, "H"),
-            module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
-            module.integer(*od.SUPERVISION_COAST, "B"),
-            limit_settings(module.read_known),
+            {**known, **values},
             (module.read_known(od.FEEDBACK_NOISE) or 0) / LIMIT_UNITS or None,
         )
 
-    @property
-    def corners(self) -> Corners:
-        return Corners(
-            self.values.get(CORNER.place, self.motion.corners.corner_hz), self.motion.corners.cosine_corner_hz
-        )
-
-    @property
+    @cached_property
     def settings(self) -> LimitSettings:
-        return replace(
-            self.motion,
-            widest_cycles=self.values[od.SUPERVISION_RESIDUAL_LIMIT] / LIMIT_UNITS,
-            acceleration_rad_s2=self.values[od.SUPERVISION_ACCELERATION],
-            phase_error_cycles=self.values[od.SUPERVISION_PHASE_ERROR] / LIMIT_UNITS,
-        )
-
-    def bounds(self, interval_s: float) -> Declared:
-        return self.settings.bounds(self.cycles_per_revolution, interval_s, self.noise_cycles)
+        return limit_settings(self.values.get)
 
     def changed(self, values: Mapping[od.Multiplexer, float]) -> SupervisionLimits:
         return replace(self, values={**self.values, **values})
 
     def chain_limits(self, interval_s: float) -> ChainLimits:
         """For a chain that gets all samples one by one, ``interval_s`` apart."""
-        low, high = (self.values[place] for place in AMPLITUDES)
-        return ChainLimits.of(
-            self.bounds(interval_s),
-            sample=SampleLimits(self.full_scale_counts, low, high),
-            cycles_per_revolution=self.cycles_per_revolution,
-            coast_samples=min(self.coast_samples * self.motion.samples_per_sync, 255),
-            frozen_samples=int(self.values[od.SUPERVISION_FROZEN]),
-            coarse_limit_revolutions=self.values[od.SUPERVISION_COARSE_LIMIT] / LIMIT_UNITS,
-            corners=self.corners,
-        )
+        bridged = min(self.settings.coast_samples * self.settings.samples_per_sync, 255)
+        one_by_one = replace(self.settings, coast_samples=bridged, samples_per_sync=1)
+        return one_by_one.chain_limits(interval_s, self.noise_cycles)
 
 
 # Those that let more samples pass the larger (1), or the smaller (-1) they are.

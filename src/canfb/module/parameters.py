@@ -19,9 +19,8 @@ from canfb.module.cia406.position import distinguishable_revolutions, single_tur
 from canfb.module.interval import SamplingInterval
 from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, MOST_DECLARED_S, WRITE_LOCKS, ModuleConfig
 from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import MOST_CORNER_HZ, ChainLimits
+from canfb.signal.chain_config import MOST_CORNER_HZ
 from canfb.signal.residual_noise import ResidualNoise
-from canfb.signal.supervision import SampleLimits
 from canfb.view.module_view import LIMIT_UNITS, limit_settings, values_of
 
 EDS = "canfb-module"
@@ -249,23 +248,9 @@ class Limits:
         per_sync = self.interval.samples_per_sync
         self._applied_s = known_s = self.interval.known_s
         self._applied_noise = usable = self.noise.usable_cycles
-        cycles_per_revolution = read(od.ENCODER_CYCLES_PER_REVOLUTION)
         settings = replace(limit_settings(read), samples_per_sync=per_sync, timed=self.timed)
         noise_cycles = usable if usable == usable else None
-        self.in_force = ChainLimits.of(
-            settings.bounds(cycles_per_revolution, known_s / per_sync, noise_cycles),
-            sample=SampleLimits(
-                read(od.ENCODER_FULL_SCALE),
-                read(od.ENCODER_LOWEST_AMPLITUDE),
-                read(od.ENCODER_HIGHEST_AMPLITUDE),
-            ),
-            cycles_per_revolution=cycles_per_revolution,
-            coast_samples=read(od.SUPERVISION_COAST),
-            frozen_samples=read(od.SUPERVISION_FROZEN),
-            coarse_limit_revolutions=read(od.SUPERVISION_COARSE_LIMIT) / LIMIT_UNITS,
-            samples_per_sync=per_sync,
-            corners=settings.corners,
-        )
+        self.in_force = settings.chain_limits(known_s / per_sync, noise_cycles)
         self._chain.set_limits(self.in_force)
         self._narrowed = settings.acceleration_rad_s2 > 0.0 or self._chain.tracks.needs_unit
         self._use_interval()

@@ -13,16 +13,7 @@ from canfb.cia301 import cob
 from canfb.configuration import Config
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.module.parameters import factory_dictionary
-from canfb.view.module_view import (
-    NOTHING_NARROWS,
-    LimitSettings,
-    Number,
-    Pdo,
-    Read,
-    limit_settings,
-    valid_pdos,
-    values_of,
-)
+from canfb.view.module_view import LimitSettings, Number, Pdo, Read, limit_settings, valid_pdos, values_of
 
 if TYPE_CHECKING:
     from canfb.signal.correction import Correction
@@ -80,7 +71,7 @@ def known_values(pdo: Pdo, data: bytes, kinds: Mapping[od.Multiplexer, str]) -> 
 class NodeLayout:
     """What must be known of a module to understand its frames.
 
-    supervision         what the residual limit depends on
+    supervision         its limits, and what they depend on
     reversed            6004h falls where 2011:07 is positive (6000h)
     assumed             of :data:`NEEDED`, not read from the module
     """
@@ -89,16 +80,12 @@ class NodeLayout:
     origin: Origin
     tpdos: tuple[Pdo, ...]
     inputs: tuple[Pdo, ...]
+    supervision: LimitSettings
     sync_id: int = cob.SYNC
     emcy_id: int = 0
-    cycles_per_revolution: int = 2500
     units_per_revolution: int = 0
     total_range: int = 0
     reversed: bool = False
-    full_scale_counts: int = 2048
-    amplitude_low_counts: int = 0
-    amplitude_high_counts: int = 0
-    supervision: LimitSettings = NOTHING_NARROWS
     assumed: frozenset[str] = frozenset(NEEDED)
 
 
@@ -131,13 +118,9 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
         inputs=_pdos(read, od.RPDO, od.RPDO_MAPPING, INPUTS),
         sync_id=integer(od.SYNC_COB_ID, cob.SYNC) & cob.CAN_ID,
         emcy_id=integer(od.EMCY_COB_ID, cob.EMERGENCY + node_id) & cob.CAN_ID,
-        cycles_per_revolution=integer(od.ENCODER_CYCLES_PER_REVOLUTION, 2500),
         units_per_revolution=integer(per_turn, 0),
         total_range=total,
         reversed=bool(operating & od.OperatingParameter.CODE_SEQUENCE),
-        full_scale_counts=integer(od.ENCODER_FULL_SCALE, 2048),
-        amplitude_low_counts=integer(od.ENCODER_LOWEST_AMPLITUDE, 0),
-        amplitude_high_counts=integer(od.ENCODER_HIGHEST_AMPLITUDE, 0),
         supervision=limit_settings(read),
         assumed=frozenset(
             name

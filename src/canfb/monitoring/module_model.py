@@ -180,6 +180,7 @@ class ModuleModel:
 
     def snapshot(self, now: float, sync_hz: float | None = None) -> ModuleSnapshot:
         layout, values = self.layout, self._values
+        sample = layout.supervision.sample
         status = values.get(od.FEEDBACK_STATUS)
         units, residual = values.get(od.POSITION_VALUE), values.get(od.FEEDBACK_RESIDUAL)
         per_revolution = layout.units_per_revolution
@@ -208,17 +209,15 @@ class ModuleModel:
             position_revolutions=units / per_revolution if units is not None and per_revolution else None,
             velocity_rad_s=velocity,
             residual_cycles=None if residual is None else residual / LIMIT_UNITS,
-            residual_limit_cycles=layout.supervision.limit_cycles(
-                layout.cycles_per_revolution, sync_hz, noise, velocity
-            ),
+            residual_limit_cycles=layout.supervision.limit_cycles(sync_hz, noise, velocity),
             residual_noise_cycles=noise,
             residual_peak_cycles=max(self._history.since(now, PEAK_S), default=None),
             residual_history_cycles=self._history.values(now),
             history_bin_s=self._history.width_s,
             amplitude_counts=math.hypot(*self._tracks[-1]) if raw else amplitude,
             amplitude_is_raw=raw,
-            amplitude_limits_counts=(layout.amplitude_low_counts, layout.amplitude_high_counts),
-            full_scale_counts=layout.full_scale_counts,
+            amplitude_limits_counts=(int(sample.amplitude_low_counts), int(sample.amplitude_high_counts)),
+            full_scale_counts=sample.full_scale_counts,
             tracks_counts=list(self._tracks),
             tracks_heard=self._tracks_received,
             seen=dict(self._counted),

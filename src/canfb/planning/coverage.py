@@ -19,6 +19,7 @@ import numpy.typing as npt
 from canfb import objects as od
 from canfb.planning.plan import ResidualBudget
 from canfb.signal.bounded_motion import ORDER
+from canfb.signal.supervision import SampleLimits
 from canfb.simulation.faults import (
     Fault,
     Rng,
@@ -52,17 +53,14 @@ Floats = npt.NDArray[np.float64]
 class SampleWindow:
     """What a sample is held against.
 
-    full_scale_counts           of the converter; a count at either end is refused
-    low_counts, high_counts     accepted amplitude
+    sample                      a count at either end of the converter, and another amplitude, are refused
     nominal_counts              amplitude of the healthy tracks
     limit_cycles                residual limit L
     motion_cycles               largest acceleration, cycles per interval^2
     tolerance_cycles            of the second position
     """
 
-    full_scale_counts: int
-    low_counts: int
-    high_counts: int
+    sample: SampleLimits
     nominal_counts: float
     limit_cycles: float
     motion_cycles: float
@@ -93,17 +91,13 @@ class FaultCoverage:
 
 def window_of(budget: ResidualBudget) -> SampleWindow:
     """What the samples of a module are held against; a second position of 0.01 revolution if it has none."""
-    module = budget.module
-    low, high = module.amplitude_limits_counts
-    tolerance = second_tolerance(budget) or USUAL_TOLERANCE
+    settings, tolerance = budget.module.settings, second_tolerance(budget) or USUAL_TOLERANCE
     return SampleWindow(
-        full_scale_counts=module.full_scale_counts,
-        low_counts=low,
-        high_counts=high,
-        nominal_counts=budget.plan.amplitude * module.full_scale_counts,
+        sample=settings.sample,
+        nominal_counts=budget.plan.amplitude * settings.sample.full_scale_counts,
         limit_cycles=budget.limit_cycles,
         motion_cycles=min(budget.motion_cycles or LEAST_MOTION_CYCLES, budget.limit_cycles),
-        tolerance_cycles=tolerance * module.cycles_per_revolution,
+        tolerance_cycles=tolerance * settings.cycles_per_revolution,
     )
 
 
@@ -116,9 +110,11 @@ def second_tolerance(budget: ResidualBudget) -> float | None:
 
 def area_coverage(window: SampleWindow) -> Shares:
     """Of voltages that may be anything within the range of the converter."""
-    full = float(window.full_scale_counts)
+    full = float(window.sample.full_scale_counts)
     whole = 4.0 * full * full
-    ring = (_disc(window.high_counts, full) - _disc(window.low_counts, full)) / whole
+    ring = (
+        _disc(window.sample.amplitude_high_counts, full) - _disc(window.sample.amplitude_low_counts, full)
+    ) / whole
     left = min(1.0, 2.0 * window.limit_cycles)
     near = min(left, 2.0 * window.tolerance_cycles)
     return Shares(1.0 - ring, 1.0 - ring * left, 1.0 - ring * near)
@@ -153,7 +149,7 @@ def _covered(window: SampleWindow, name: str, draw: Callable[[Rng, float], Fault
                 sine[case].astype(np.int64),
                 cosine[case].astype(np.int64),
                 np.ones(total, dtype=np.bool_),
-                window.full_scale_counts,
+                window.sample.full_scale_counts,
             )
             bad = draw(rng, window.nominal_counts).inject(samples, ORDER, total, rng)
             sine[case], cosine[case] = bad.sine, bad.cosine
@@ -172,9 +168,11 @@ def _motion(window: SampleWindow, total: int, rng: Rng) -> Floats:
 
 
 def _judged(window: SampleWindow, name: str, truth: Floats, sine: Floats, cosine: Floats) -> FaultCoverage:
-    full = window.full_scale_counts
+    full = window.sample.full_scale_counts
     amplitude = np.hypot(sine, cosine)
-    refused = (amplitude < window.low_counts) | (amplitude > window.high_counts)
+    refused = (amplitude < window.sample.amplitude_low_counts) | (
+        amplitude > window.sample.amplitude_high_counts
+    )
     for track in (sine, cosine):
         refused |= (track <= -full) | (track >= full - 1)
     phase = np.arctan2(sine, cosine) / (2.0 * np.pi)

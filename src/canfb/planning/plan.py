@@ -215,17 +215,13 @@ class ResidualBudget:
     def limit_cycles(self) -> float:
         """In force at the given speed: uncertain sample times widen a narrowed one."""
         return self.module.settings.limit_cycles(
-            self.module.cycles_per_revolution,
-            self.plan.sync_hz,
-            self.measured_noise_cycles,
-            self.plan.speed_rad_s,
+            self.plan.sync_hz, self.measured_noise_cycles, self.plan.speed_rad_s
         )
 
     @cached_property
     def declared(self) -> Declared:
-        cycles = self.module.cycles_per_revolution
-        bounds = self.module.settings.bounds(cycles, self.interval_s, self.measured_noise_cycles)
-        return replace(bounds, coast_samples=self.module.coast_samples)
+        bounds = self.module.settings.bounds(self.interval_s, self.measured_noise_cycles)
+        return replace(bounds, coast_samples=self.module.coast_samples, samples_per_sync=1)
 
     def detection(self, limit_cycles: float | None = None) -> CountDetection:
         """With the limit in force, or another one."""
@@ -260,7 +256,7 @@ class ResidualBudget:
     @cached_property
     def sync_jitter_s(self) -> float:
         """Half its range: of the producer and of frames before it; or 2010:0D."""
-        return max(self.plan.jitter_s + self.plan.bus.sync_delay_s / 2.0, self.module.declared_jitter_s)
+        return max(self.plan.jitter_s + self.plan.bus.sync_delay_s / 2.0, self.module.settings.sync_jitter_s)
 
     @cached_property
     def uncertainty_s(self) -> float:
@@ -304,7 +300,7 @@ class ResidualBudget:
     @property
     def paper_rad_s2(self) -> float:
         """Eq. 10."""
-        return max_acceleration(self.module.cycles_per_revolution, self.sample_hz)
+        return max_acceleration(self.module.settings.cycles_per_revolution, self.sample_hz)
 
     @property
     def largest_acceleration_rad_s2(self) -> float:
@@ -363,14 +359,14 @@ class ResidualBudget:
 
     def acceleration_cycles(self, acceleration_rad_s2: float) -> float:
         return cycles_per_interval_squared(
-            acceleration_rad_s2, self.module.cycles_per_revolution, self.worst_interval_s
+            acceleration_rad_s2, self.module.settings.cycles_per_revolution, self.worst_interval_s
         )
 
     @cached_property
     def phase_noise_cycles(self) -> float:
         """The rms noise of a phase; inf without an amplitude."""
         counts = math.sqrt(self.plan.noise_counts**2 + ROUNDING_VARIANCE)
-        amplitude = self.plan.amplitude * self.module.full_scale_counts
+        amplitude = self.plan.amplitude * self.module.settings.sample.full_scale_counts
         return counts / (2.0 * math.pi * amplitude) if amplitude else math.inf
 
     @property
@@ -389,7 +385,9 @@ class ResidualBudget:
     @property
     def instants_cycles(self) -> float:
         """Of the sampling instants in a residual."""
-        cycles_per_s = (self.plan.speed_rad_s or 0.0) * self.module.cycles_per_revolution / (2 * math.pi)
+        cycles_per_s = (
+            (self.plan.speed_rad_s or 0.0) * self.module.settings.cycles_per_revolution / (2 * math.pi)
+        )
         return WEIGHTS * cycles_per_s * self.uncertainty_s
 
     def rest_cycles(self, instants_cycles: float) -> float:
@@ -413,10 +411,10 @@ class ResidualBudget:
             return 0.0
         if uncertainty_s <= 0.0:
             return math.inf
-        return max_speed(self.module.cycles_per_revolution, uncertainty_s, min(left_cycles, 0.5))
+        return max_speed(self.module.settings.cycles_per_revolution, uncertainty_s, min(left_cycles, 0.5))
 
     def _acceleration(self, left_cycles: float, rate_hz: float) -> float:
-        cycles = self.module.cycles_per_revolution
+        cycles = self.module.settings.cycles_per_revolution
         return max_acceleration(cycles, rate_hz, min(left_cycles, 0.5)) if left_cycles > 0.0 else 0.0
 
 

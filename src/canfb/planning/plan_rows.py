@@ -153,7 +153,7 @@ def _heading(budget: ResidualBudget) -> list[str]:
     by = "2010:02 and 2010:09" if budget.has_noise_margin else "2010:02"
     narrowed = f", narrowed by {by}" if budget.is_narrowed else ""
     return [
-        f"{module.cycles_per_revolution} cycles per revolution, {several}residual limit "
+        f"{module.settings.cycles_per_revolution} cycles per revolution, {several}residual limit "
         f"{budget.limit_cycles:.3f} cycle{narrowed}",
         *([f"  {where}"] if where else []),
     ]
@@ -170,7 +170,7 @@ def _module_rows(budget: ResidualBudget) -> list[Row]:
     return [
         Row(
             node_id=module.node_id,
-            cycles_per_revolution=module.cycles_per_revolution,
+            cycles_per_revolution=module.settings.cycles_per_revolution,
             samples_per_sync=module.samples_per_sync,
             sample_bytes=module.sample_bytes,
             times=module.times,
@@ -208,7 +208,7 @@ def _limited_row(name: str, unit: str, given: float | None, largest: float, **fi
 
 def analog_row(module: PlannedModule, speed_rad_s: float | None) -> Row:
     """The analog path at the largest speed (2002:06, 2002:07, 2001:05); nothing where none of it is known."""
-    hertz = (speed_rad_s or 0.0) * module.cycles_per_revolution / (2.0 * math.pi)
+    hertz = (speed_rad_s or 0.0) * module.settings.cycles_per_revolution / (2.0 * math.pi)
     pairs = zip(od.CONDITIONING, IDENTITY.values, strict=True)
     used = Conditioning(*(float(module.values.get(place, default)) for place, default in pairs))
     corners = module.settings.corners
@@ -239,7 +239,7 @@ def _instants(budget: ResidualBudget) -> str:
     bus_us, own_us = budget.plan.bus.sync_delay_s / 2.0 * 1e6, budget.plan.jitter_s * 1e6
     parts = f"producer {own_us:.3g}, frames before it {bus_us:.3g}"
     said = f"no sample times; SYNC ±{own_us + bus_us:.3g} µs: {parts}"
-    declared_us = budget.module.declared_jitter_s * 1e6
+    declared_us = budget.module.settings.sync_jitter_s * 1e6
     return f"{said}; declared ±{declared_us:.3g} µs" if declared_us else said
 
 
@@ -267,10 +267,11 @@ def _motion_rows(budget: ResidualBudget) -> list[Row]:
 def _detection_rows(budget: ResidualBudget) -> list[Row]:
     found, module = budget.detection(), budget.module
     needed = budget.detection(min(budget.needed_cycles, 0.5))
-    frozen = f"after {module.frozen_samples} equal samples" if module.frozen_samples else "not looked for"
+    equal, sample = module.settings.frozen_samples, module.settings.sample
+    frozen = f"after {equal} equal samples" if equal else "not looked for"
     half = "always" if found.half_cycle else "not always"
-    low, high = module.amplitude_limits_counts
-    nominal = budget.plan.amplitude * module.full_scale_counts
+    low, high = sample.amplitude_low_counts, sample.amplitude_high_counts
+    nominal = budget.plan.amplitude * sample.full_scale_counts
     amplitude = (
         f"{low / nominal:.2g} to {high / nominal:.2g} of nominal" if nominal else f"{low} to {high} counts"
     )

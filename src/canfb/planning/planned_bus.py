@@ -284,27 +284,6 @@ class PlannedModule:
     has_table: bool = False
     samples_itself: bool = False
 
-    @property
-    def cycles_per_revolution(self) -> int:
-        """2001:01."""
-        return int(self.values[od.ENCODER_CYCLES_PER_REVOLUTION])
-
-    @property
-    def full_scale_counts(self) -> int:
-        """2001:02."""
-        return int(self.values[od.ENCODER_FULL_SCALE])
-
-    @property
-    def amplitude_limits_counts(self) -> tuple[int, int]:
-        """2001:03 and 2001:04."""
-        low, high = od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE
-        return int(self.values[low]), int(self.values[high])
-
-    @property
-    def frozen_samples(self) -> int:
-        """2010:04, 0 is off."""
-        return int(self.values[od.SUPERVISION_FROZEN])
-
     @cached_property
     def settings(self) -> LimitSettings:
         return limit_settings(self.values.get)
@@ -312,12 +291,7 @@ class PlannedModule:
     @property
     def coast_samples(self) -> int:
         """2010:03, in intervals from sample to sample."""
-        return int(self.values[od.SUPERVISION_COAST]) * self.samples_per_sync
-
-    @property
-    def declared_jitter_s(self) -> float:
-        """2010:0D, 0.0: not declared."""
-        return float(self.values[od.SUPERVISION_SYNC_JITTER])
+        return self.settings.coast_samples * self.samples_per_sync
 
     @cached_property
     def times(self) -> bool:

@@ -347,7 +347,7 @@ class SdoTasks:
             return f"the position is lost by it: canfb why {node.node_id:#04x} says what brings it back"
         limits = limit_settings(node.read_known)
         sync_hz = samples / (master.now() - began) / limits.samples_per_sync
-        needed = limits.needed_cycles(node.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"), sync_hz)
+        needed = limits.needed_cycles(sync_hz)
         if limits.widest_cycles >= needed:
             return ""
         return (

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 from canfb.checks import integer_in, number_in, within
 from canfb.signal.adaptation import AdaptConfig
@@ -53,12 +52,6 @@ class ChainLimits(Declared):
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
         integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
-
-    @classmethod
-    def of(cls, declared: Declared, **others: Any) -> ChainLimits:
-        """What is declared, less ``others``, and these."""
-        known = {one.name: getattr(declared, one.name) for one in fields(Declared)}
-        return cls(**{**known, **others})
 
 
 @dataclass(frozen=True, kw_only=True)

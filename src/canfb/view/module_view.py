@@ -11,8 +11,10 @@ from typing import Any, NamedTuple
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.signal.front_end import NO_LOW_PASS, Corners
+from canfb.signal.chain_config import ChainLimits
+from canfb.signal.front_end import Corners
 from canfb.signal.limits import (
+    COAST_SAMPLES,
     DOUBT_ACCELERATION,
     PHASE_ERROR_CYCLES,
     Declared,
@@ -21,6 +23,7 @@ from canfb.signal.limits import (
 )
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 from canfb.signal.sample import TICK_S
+from canfb.signal.supervision import SampleLimits
 
 Number = int | float
 Read = Callable[[od.Multiplexer], Number | None]  # Gives the value of an object, None where it is not known.
@@ -187,28 +190,34 @@ LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 
 @dataclass(frozen=True)
 class LimitSettings:
-    """What the limit depends on; 0: not set, or not known.
+    """What the limits depend on; 0: not set, or not known.
 
     widest_cycles      2010:01
     doubt_acceleration 2010:0B, cycles per interval^2
+    sync_jitter_s      2010:0D
     cycle_period_s     1006h
     timed              RPDOs carry the sample time
     """
 
-    widest_cycles: float = 0.5
-    acceleration_rad_s2: float = 0.0
-    noise_margin: int = 0
-    bad_samples: int = 0
-    doubt_acceleration: float = DOUBT_ACCELERATION
-    phase_error_cycles: float = PHASE_ERROR_CYCLES
-    cycle_period_s: float = 0.0
-    samples_per_sync: int = 1
-    timed: bool = False
-    corners: Corners = NO_LOW_PASS
+    cycles_per_revolution: int
+    sample: SampleLimits
+    widest_cycles: float
+    acceleration_rad_s2: float
+    coast_samples: int
+    frozen_samples: int
+    coarse_limit_revolutions: float
+    noise_margin: int
+    bad_samples: int
+    doubt_acceleration: float
+    phase_error_cycles: float
+    sync_jitter_s: float
+    cycle_period_s: float
+    samples_per_sync: int
+    timed: bool
+    corners: Corners
 
     def limit_cycles(
         self,
-        cycles_per_revolution: int,
         sync_hz: float | None,
         noise_cycles: float | None = None,
         velocity_rad_s: float | None = None,
@@ -219,58 +228,74 @@ class LimitSettings:
         """
         sync_s = 1.0 / sync_hz if sync_hz else self.cycle_period_s
         interval_s = sync_s / self.samples_per_sync
-        limit = self.bounds(cycles_per_revolution, interval_s, noise_cycles).residual_limit
+        limit = self.bounds(interval_s, noise_cycles).residual_limit
         if self.timed and velocity_rad_s:
-            cycles_per_s = abs(velocity_rad_s) * cycles_per_revolution / (2.0 * math.pi)
+            cycles_per_s = abs(velocity_rad_s) * self.cycles_per_revolution / (2.0 * math.pi)
             limit += 4.0 * cycles_per_s * (TICK_S / 2.0)  # all phases off by half a tick
         return min(limit, self.widest_cycles)
 
-    def needed_cycles(self, cycles_per_revolution: int, sync_hz: float) -> float:
+    def needed_cycles(self, sync_hz: float) -> float:
         """The least 2010:01 that good samples keep, by 2010:02 and 2010:0C (0 Hz: 2010:0C)."""
         interval_s = 1.0 / (sync_hz * self.samples_per_sync) if sync_hz else 0.0
-        expected = cycles_per_interval_squared(self.acceleration_rad_s2, cycles_per_revolution, interval_s)
+        expected = cycles_per_interval_squared(
+            self.acceleration_rad_s2, self.cycles_per_revolution, interval_s
+        )
         return expected + 4.0 * self.phase_error_cycles
 
-    def bounds(
-        self, cycles_per_revolution: int, interval_s: float, noise_cycles: float | None = None
-    ) -> Declared:
+    def bounds(self, interval_s: float, noise_cycles: float | None = None) -> Declared:
         """At this interval from sample to sample; 0.0: not known."""
-        n, widest = cycles_per_revolution, self.widest_cycles
+        n, widest = self.cycles_per_revolution, self.widest_cycles
+        largest = self.acceleration_rad_s2 if interval_s else 0.0
         margin = (
             math.inf if noise_cycles is None or not self.noise_margin else self.noise_margin * noise_cycles
         )
-        declared = self.phase_error_cycles
-        phase_error = min(declared, margin / math.sqrt(RESIDUAL_WEIGHTS))
-        known = Declared(
-            residual_limit=widest,
+        return Declared(
+            residual_limit=narrowed_residual_limit(
+                widest, largest, n, interval_s, margin, self.phase_error_cycles
+            ),
             widest_limit=widest,
+            acceleration=cycles_per_interval_squared(largest, n, interval_s) or None,
             acceleration_waits=not interval_s and self.acceleration_rad_s2 > 0.0,
-            phase_error=phase_error,
+            phase_error=min(self.phase_error_cycles, margin / math.sqrt(RESIDUAL_WEIGHTS)),
+            instant_error=TICK_S / 2.0 / interval_s if self.timed and interval_s else 0.0,
             bad=self.bad_samples,
             doubt_acceleration=self.doubt_acceleration,
+            coast_samples=self.coast_samples,
+            samples_per_sync=self.samples_per_sync,
         )
-        if not interval_s:
-            return known
-        return replace(
-            known,
-            residual_limit=narrowed_residual_limit(
-                widest, self.acceleration_rad_s2, n, interval_s, margin, declared
-            ),
-            acceleration=cycles_per_interval_squared(self.acceleration_rad_s2, n, interval_s) or None,
-            instant_error=TICK_S / 2.0 / interval_s if self.timed else 0.0,
+
+    def chain_limits(self, interval_s: float, noise_cycles: float | None = None) -> ChainLimits:
+        """Those of :meth:`bounds`, and of a sample."""
+        return ChainLimits(
+            **vars(self.bounds(interval_s, noise_cycles)),  # its fields: nothing is computed yet
+            sample=self.sample,
+            cycles_per_revolution=self.cycles_per_revolution,
+            frozen_samples=self.frozen_samples,
+            coarse_limit_revolutions=self.coarse_limit_revolutions,
+            corners=self.corners,
         )
 
 
 def limit_settings(read: Read) -> LimitSettings:
     mapped = [pdo.entries for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING)]
-    residual = read(od.SUPERVISION_RESIDUAL_LIMIT)
+    coast = read(od.SUPERVISION_COAST)
     return LimitSettings(
-        widest_cycles=0.5 if residual is None else residual / LIMIT_UNITS,
+        cycles_per_revolution=int(read(od.ENCODER_CYCLES_PER_REVOLUTION) or 2500),
+        sample=SampleLimits(
+            int(read(od.ENCODER_FULL_SCALE) or 2048),
+            int(read(od.ENCODER_LOWEST_AMPLITUDE) or 0),
+            int(read(od.ENCODER_HIGHEST_AMPLITUDE) or 0),
+        ),
+        widest_cycles=_in_units(read(od.SUPERVISION_RESIDUAL_LIMIT), 0.5),
         acceleration_rad_s2=float(read(od.SUPERVISION_ACCELERATION) or 0.0),
+        coast_samples=COAST_SAMPLES if coast is None else int(coast),
+        frozen_samples=int(read(od.SUPERVISION_FROZEN) or 0),
+        coarse_limit_revolutions=_in_units(read(od.SUPERVISION_COARSE_LIMIT), 1.0 / 32.0),
         noise_margin=int(read(od.SUPERVISION_NOISE_MARGIN) or 0),
         bad_samples=int(read(od.SUPERVISION_BAD_SAMPLES) or 0),
-        doubt_acceleration=_in_cycles(read(od.SUPERVISION_DOUBT_ACCELERATION), DOUBT_ACCELERATION),
-        phase_error_cycles=_in_cycles(read(od.SUPERVISION_PHASE_ERROR), PHASE_ERROR_CYCLES),
+        doubt_acceleration=_in_units(read(od.SUPERVISION_DOUBT_ACCELERATION), DOUBT_ACCELERATION),
+        phase_error_cycles=_in_units(read(od.SUPERVISION_PHASE_ERROR), PHASE_ERROR_CYCLES),
+        sync_jitter_s=float(read(od.SUPERVISION_SYNC_JITTER) or 0.0),
         cycle_period_s=int(read(od.CYCLE_PERIOD) or 0) * 1e-6,
         samples_per_sync=od.samples_per_sync(mapped),
         timed=any(od.SAMPLE_TIME.mapped(32) in one for one in mapped),
@@ -281,8 +306,5 @@ def limit_settings(read: Read) -> LimitSettings:
     )
 
 
-def _in_cycles(value: float | None, default: float) -> float:
+def _in_units(value: float | None, default: float) -> float:
     return default if value is None else value / LIMIT_UNITS
-
-
-NOTHING_NARROWS = LimitSettings()
