@@ -11,7 +11,9 @@ from collections.abc import Collection, Sequence
 from enum import IntEnum, IntFlag, StrEnum
 from typing import Final, NamedTuple
 
+from canfb.cia301.cob import TPDOS
 from canfb.cia301.codes import CodeWithText
+from canfb.cia301.frame import mapping_values
 
 
 class Multiplexer(NamedTuple):
@@ -70,6 +72,21 @@ SAMPLE_EARLIER: Final = tuple(
     (Multiplexer(0x2000, first), Multiplexer(0x2000, first + 1)) for first in (8, 10, 12, 15, 17, 19, 21)
 )
 SAMPLE_SECOND_POSITION: Final = Multiplexer(0x2000, 14)
+
+
+def sample_pdos(
+    parameters: int,
+    mapping: int,
+    pairs: Sequence[tuple[Multiplexer, Multiplexer]],
+    times: Sequence[Multiplexer],
+    node_id: int,
+) -> dict[tuple[int, int], int]:
+    """PDOs of ``node_id``; ``parameters``, ``mapping``: indices of the first."""
+    tracks = [one.mapped(16) for pair in pairs for one in pair]
+    mapped = mapping_values(mapping, [*tracks, *(one.mapped(32) for one in times)])
+    return mapped | {
+        (parameters + index - mapping, 1): TPDOS[index - mapping] + node_id for index, _ in mapped
+    }
 
 
 def samples_per_sync(mapped: Sequence[Collection[int]]) -> int:

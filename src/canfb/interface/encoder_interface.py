@@ -13,9 +13,8 @@ import numpy.typing as npt
 
 from canfb import objects as od
 from canfb.checks import flag, integer_in, number_in, text, within
-from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
-from canfb.cia301.frame import Frame, mapping_values
+from canfb.cia301.frame import Frame
 from canfb.device.core import FOLLOWED, IGNORED, HeldRpdo
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.node import NodeDevice
@@ -291,7 +290,11 @@ class EncoderInterface(MachineNode):
     ) -> None:
         integer_in("serial_number", serial_number, 0, 0xFFFFFFFF)
         dictionary = Dictionary.load(eds_path(EDS), node_id)
-        own = {od.IDENTITY_SERIAL_NUMBER: serial_number, **_adc_pdos(node_id, times, samples_per_sync)}
+        pairs = [(od.INTERFACE_SINE, od.INTERFACE_COSINE), *od.INTERFACE_EARLIER][:samples_per_sync]
+        time = [od.INTERFACE_SAMPLE_TIME] if times else []
+        own = od.sample_pdos(od.TPDO, od.TPDO_MAPPING, pairs, time, node_id)
+        del own[od.TPDO, 1]  # the EDS has it
+        own[od.IDENTITY_SERIAL_NUMBER] = serial_number
         for place, value in own.items():
             parameter = dictionary.entry(*place)
             parameter.default = parameter.value = value
@@ -362,16 +365,6 @@ class EncoderInterface(MachineNode):
     def reset_done(self, communication_only: bool, now: float) -> None:
         if not communication_only:
             self.recorder.reset()
-
-
-def _adc_pdos(node_id: int, times: bool, samples_per_sync: int) -> dict[tuple[int, int], int]:
-    pairs = [(od.INTERFACE_SINE, od.INTERFACE_COSINE), *od.INTERFACE_EARLIER][:samples_per_sync]
-    objects = [one.mapped(16) for pair in pairs for one in pair]
-    if times:
-        objects.append(od.INTERFACE_SAMPLE_TIME.mapped(32))
-    mapping = mapping_values(od.TPDO_MAPPING, objects)
-    further = {index - od.TPDO_MAPPING for index, _ in mapping} - {0}  # that of TPDO1 is in the EDS
-    return mapping | {(od.TPDO + one, 1): cob.TPDOS[one] + node_id for one in further}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,6 @@ from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.cia301.frame import mapping_values
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.eds_files import eds_path
 from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
@@ -113,12 +112,8 @@ def _adaptation(config: ModuleConfig) -> Values:
 
 def adc_pdos(config: ModuleConfig) -> Values:
     pairs = [(od.SAMPLE_SINE, od.SAMPLE_COSINE), *od.SAMPLE_EARLIER][: config.samples_per_sync]
-    objects = [one.mapped(16) for pair in pairs for one in pair]
-    if config.times:
-        objects.append(od.SAMPLE_TIME.mapped(32))
-    mapping: Values = dict(mapping_values(od.RPDO_MAPPING, objects))
-    numbers = {index - od.RPDO_MAPPING for index, _ in mapping}
-    return mapping | {(od.RPDO + one, 1): cob.TPDOS[one] + config.encoder_interface for one in numbers}
+    times = [od.SAMPLE_TIME] if config.times else []
+    return {**od.sample_pdos(od.RPDO, od.RPDO_MAPPING, pairs, times, config.encoder_interface)}
 
 
 def _second_position(config: ModuleConfig) -> Values:
