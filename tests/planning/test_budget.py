@@ -20,7 +20,7 @@ from canfb.planning.plan import PEAK, RAW_PHASE_ERROR_CYCLES, Limited, Plan, Res
 from canfb.planning.plan_rows import analog_row
 from canfb.planning.planned_bus import PlannedModule
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.limits import narrowed_residual_limit, safe_deviation, samples_without_harm
+from canfb.signal.limits import narrowed_residual_limit, samples_without_harm
 from canfb.simulation.scenario import MotionConfig
 from canfb.simulation.set_up import of_motion
 from drawing import examples
@@ -145,9 +145,10 @@ def test_what_is_not_stated_has_no_margin() -> None:
 
 def test_the_samples_in_a_row_are_those_of_the_page() -> None:
     rows = dict(re.findall(r"^\| (\d) \| 1/(\d) \|", LEGAL, re.M))
-    assert {int(n): 1.0 / int(part) for n, part in rows.items()} == {n: safe_deviation(n) for n in (1, 2, 3)}
+    safe = {n: min(1.0 / (n + 2), 1.0 / ((n + 2) ** 2 // 4)) for n in range(1, 41)}
+    assert {int(n): 1.0 / int(part) for n, part in rows.items()} == {n: safe[n] for n in (1, 2, 3)}
     for n in range(1, 41):
-        largest, changes = safe_deviation(n), n + 2
+        largest, changes = safe[n], n + 2
         assert largest * max(changes, changes**2 // 4) == pytest.approx(1.0)
         assert samples_without_harm(largest) == n
         assert samples_without_harm(largest * (1.0 + 1e-6)) == n - 1
