@@ -14,7 +14,7 @@ import can
 
 from canfb.bus.bus_state import BusState
 from canfb.bus.frame_bus import FrameBus
-from canfb.cia301.cob import ERROR_CONTROL
+from canfb.cia301.cob import BOOT_UP, ERROR_CONTROL, NODE_ID
 from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER, CanIds
 from canfb.device.node import Device, Inhibited, Selective
@@ -109,10 +109,8 @@ class Dispatch:
         port.moved = self.moved = True
 
 
-NODE_ID = 0x7F
 RETRY_S = 0.0005  # a frame takes 0.05 to 0.13 ms at 1 Mbit/s
 LONGEST_QUEUE = 256  # frames
-BOOT_UP = b"\0"  # of ERROR_CONTROL: no NMT state of a heartbeat is 0
 LONGEST_DELAY_S = 0.1  # a position that is older helps nobody
 
 

@@ -24,6 +24,8 @@ from canfb.bus.shared_bus import SharedBus
 from canfb.cia301.frame import HIGHEST_ID
 from canfb.errors import BusError, reason
 
+MULTICAST = "udp_multicast"  # python-can's word for it
+
 # Flags in the CAN-ID of a struct can_frame (linux/can.h).
 EXTENDED = 0x8000_0000
 REMOTE = 0x4000_0000

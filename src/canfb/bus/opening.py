@@ -20,7 +20,7 @@ import can
 from can.interfaces import BACKENDS
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from canfb.bus.frame_bus import FrameBus, PythonCanBus, enlarge_queue_of
+from canfb.bus.frame_bus import MULTICAST as MULTICAST, FrameBus, PythonCanBus, enlarge_queue_of
 from canfb.errors import BusError, ConfigError, reason
 
 # The key in ``bus:`` that is not python-can's: true for python-can on SocketCAN as well.
@@ -30,7 +30,6 @@ FORCE_PYTHON_CAN = "python_can"
 _RAW_WORDS = frozenset({"interface", "channel", "bitrate", "receive_own_messages", FORCE_PYTHON_CAN})
 
 UNNAMED = '"None"'  # what python-can says of an interface that nobody has named
-MULTICAST = "udp_multicast"
 # python-can uses one port for all groups, and on Linux a socket of a port receives every group that any
 # program of the computer has joined: all groups would be one bus. The ports are above those that Linux gives
 # away by itself.

@@ -37,6 +37,7 @@ from canfb.signal.correction import Correction
 from canfb.signal.limits import (
     CALIBRATED_PHASE_ERROR_CYCLES,
     MOST_PHASE_ERROR_CYCLES,
+    SHARP,
     cycles_per_interval_squared,
     max_acceleration,
 )
@@ -52,7 +53,6 @@ MOST_AMPLITUDE_SPREAD = 0.7
 NOISE_SIGMAS = 6.0  # beyond that a sample in 10^9
 LEAST_RESIDUAL_LIMIT = 0.02  # four times a phase error of 0.005: a table of which temperature has taken half
 LEAST_SPEED_CHANGE = 0.5  # of the top speed: less: neither a start nor a stop was measured
-STEADY_LIMIT = 1.0 / 6.0  # beyond it, a single missed sample may lose the position
 LEAST_TURNED_CYCLES = 8.0  # with fewer, the same few places of the cycle can come again and again
 LEAST_COARSE_LIMIT = 1.0 / 256.0
 MOST_COARSE_LIMIT = 0.25
@@ -160,7 +160,7 @@ def _motion(
     words = f"{motion.acceleration * to_rad:.3g} rad/s² seen, {taken}"
     if value >= most * (1.0 - 1e-6):
         words += "; no more than eq. 10 allows: increase the SYNC rate"
-    elif value / to_rad > STEADY_LIMIT:
+    elif value / to_rad > SHARP:
         words += "; above 1/6 cycle a missed sample may lose the position: increase the SYNC rate"
     return {od.SUPERVISION_RESIDUAL_LIMIT: (limit, why), od.SUPERVISION_ACCELERATION: (value, words)}
 

@@ -10,7 +10,7 @@ from canfb import objects as od
 from canfb.master.access import NodeAccess
 from canfb.objects import LossCause, PositionState, StatusBit, fault_words, position_state
 from canfb.rows import Result, Row, age_words, as_figures, as_lines, those
-from canfb.signal.limits import cycles_per_interval_squared, kept_samples, max_acceleration
+from canfb.signal.limits import MOST_IN_A_ROW, cycles_per_interval_squared, kept_samples, max_acceleration
 from canfb.view.module_view import LIMIT_UNITS, LimitSettings, limit_settings, mapped_objects
 
 MEANINGS = {
@@ -58,7 +58,6 @@ def decoded(word: int) -> Result:
 RATE_S = 0.25  # over which the rate of the samples is measured
 BAD_SIGNAL = StatusBit.AMPLITUDE | StatusBit.CLIPPED
 MOTION = (LossCause.CONTRADICTED, LossCause.JUMP, LossCause.UNDECIDED)
-MOST_MISSED = 255
 NOT_DECLARED = (
     "2010:02 is 0, not declared: set it to the largest acceleration of the machine, rad/s², "
     "so that only motions that it can do are considered"
@@ -266,7 +265,7 @@ class LostPosition:
         bridged = self.limits.coast_samples * self.limits.samples_per_sync
         time = f", {bridged / self.sample_hz * 1e3:.3g} ms" if self.sample_hz else ""
         text = f"2010:03 bridges {bridged} samples{time}"
-        if self.limits.coast_samples >= MOST_MISSED:
+        if self.limits.coast_samples >= MOST_IN_A_ROW:
             return f"{text}, the most that it can"
         most = self.longest_gap() if loss.faults & StatusBit.MISSED else None
         if most is not None and most <= bridged:
@@ -285,7 +284,7 @@ class LostPosition:
             return None
         n, interval_s = self.limits.cycles_per_revolution, 1.0 / self.sample_hz
         largest = cycles_per_interval_squared(self.limits.acceleration_rad_s2, n, interval_s)
-        return kept_samples(largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
+        return kept_samples(largest, largest, phase_error_cycles=0.0)
 
     def _narrow(self, loss: Loss) -> list[tuple[bool, str]]:
         sync_hz = self.sample_hz / self.limits.samples_per_sync

@@ -34,7 +34,6 @@ from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import Reading, described_by
 from canfb.view.module_view import Pdo, Read, valid_pdos
 
-NODES = range(1, 128)
 EVERY = 16  # requests at once: adapters have short queues
 PAUSE_S = 0.005
 DEVICE_NAME = (0x1008, 0)
@@ -83,10 +82,10 @@ def scan(master: Master, listen_s: float) -> list[FoundNode]:
         if len(data) == 1:
             states[can_id - cob.ERROR_CONTROL] = state_in(data)
 
-    with subscribed(master, [(cob.ERROR_CONTROL + node, heartbeat) for node in NODES]):
-        with subscribed(master, [(cob.SDO_RESPONSE + node, answered) for node in NODES]):
+    with subscribed(master, [(cob.ERROR_CONTROL + node, heartbeat) for node in cob.NODES]):
+        with subscribed(master, [(cob.SDO_RESPONSE + node, answered) for node in cob.NODES]):
             end = master.now() + listen_s
-            for node in NODES:
+            for node in cob.NODES:
                 master.send(cob.SDO_REQUEST + node, REQUEST)
                 if node % EVERY == 0:
                     master.wait(PAUSE_S)

@@ -166,7 +166,6 @@ class MachineNode(NodeDevice):
 
 
 BLOCK_SAMPLES = 1 << 16
-COMMANDS = frozenset(od.RecordingCommand)
 
 Block = npt.NDArray[np.int16]  # Sine and cosine in ADC counts, shape (n, 2).
 
@@ -193,7 +192,7 @@ class FastRecorder:
         self._source = source if isinstance(source, Continuous) else None
         self._now = now
         self._command = command = dictionary.entry(*od.RECORDING_COMMAND)
-        command.on_check = refuse_if(lambda value: value not in COMMANDS)
+        command.on_check = refuse_if(lambda value: value not in [*od.RecordingCommand])
         command.on_written = self._obey
         dictionary.read_live(
             {

@@ -25,7 +25,7 @@ from typing import Any, Self
 
 import can
 
-from canfb.bus.frame_bus import ERROR, Reception, brings_own_frames_back, flagged_id
+from canfb.bus.frame_bus import ERROR, MULTICAST, Reception, brings_own_frames_back, flagged_id
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.errors import CanfbError, ConfigError, reason
 from canfb.files import check_writable, replacing, writing
@@ -326,7 +326,6 @@ class BusLogFile:
 log = logging.getLogger(__name__)
 
 LONGEST_WAIT_S = 0.1  # how late a signal or the end may be noticed
-UDP_MULTICAST = "udp_multicast"
 ROTATED = frozenset({".asc", ".blf", ".log"})  # python-can's SizedRotatingLogger
 
 
@@ -383,7 +382,7 @@ class BusLog:
 
         The frames of udp_multicast, in which each sender names the channel as it likes, get one name.
         """
-        name = UDP_MULTICAST if brings_own_frames_back(bus) else None
+        name = MULTICAST if brings_own_frames_back(bus) else None
         reception = Reception(bus, log.warning, self._clock, self._sleep, lasts=True)
         end = None if seconds is None else self._clock() + seconds
         while not self._stopped:

@@ -309,7 +309,7 @@ def without_restart(node: NodeAccess) -> Iterator[None]:
     """CommissioningError at the end after a restart."""
     with _received(node) as received:
         yield
-    if b"\0" in received:
+    if cob.BOOT_UP in received:
         raise CommissioningError(f"{node.name} was restarted meanwhile (boot-up heard)")
 
 
@@ -456,7 +456,7 @@ def _restart(module: NodeAccess, command: NmtCommand) -> None:
     master, node = module.master, module.node_id
     with _received(module) as received:
         master.send(cob.NMT, struct.pack("BB", command, node))
-        started = _wait_until(master, BOOT_UP_S, lambda: b"\0" in received)
+        started = _wait_until(master, BOOT_UP_S, lambda: cob.BOOT_UP in received)
     if not started:
         raise CommissioningError(f"{module.name}: no boot-up within {BOOT_UP_S:g} s after the reset")
     master.send(cob.NMT, struct.pack("BB", NmtCommand.START, node))

@@ -88,7 +88,6 @@ class NodeModel:
         )
 
 
-NODES = range(1, 128)
 SENT = (cob.EMERGENCY, *cob.TPDOS, cob.SDO_RESPONSE, cob.ERROR_CONTROL)
 BACK_S = 1.0  # a time that is so much earlier is of another clock
 Take = Callable[[bytes, float], None]
@@ -210,7 +209,7 @@ class BusModel:
                     node.commanded(data[0])
             return
         function, node_id = can_id & ~0x7F, can_id & 0x7F
-        if node_id not in NODES or function not in SENT:
+        if node_id not in cob.NODES or function not in SENT:
             return
         node = self._node(node_id)
         node.received_s = now

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from canfb import objects as od
-from canfb.planning.plan import RPM, WEIGHTS, WELL, Limited, Margin, Plan
+from canfb.planning.plan import RPM, SHARP, WEIGHTS, Limited, Margin, Plan
 from canfb.planning.planned_bus import BIT_RATES
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.tracker import RESIDUAL_LIMIT
@@ -170,7 +170,7 @@ def _sharper(plan: Plan) -> Ways:
         return
     yield _narrowed(plan, od.SUPERVISION_NOISE_MARGIN, NOISE_MARGIN, "noise_margin (2010:09)")
     declared = max(one.settings.phase_error_cycles for one in plan.modules)
-    least = (WELL - WEIGHTS * declared) / 2.0 * LEAVES
+    least = (SHARP - WEIGHTS * declared) / 2.0 * LEAVES
     taken = max(budget.motion_cycles for budget in plan.budgets)
     if taken > least > 0.0:
         rate_hz = float(rounded_up(plan.sync_hz * math.sqrt(taken / least)))

@@ -33,6 +33,7 @@ from canfb.planning.planned_bus import (
 from canfb.signal.limits import (
     ROUNDING,
     RPM as RPM,
+    SHARP as SHARP,
     Declared,
     cycles_per_interval_squared,
     max_acceleration,
@@ -49,7 +50,6 @@ ROUNDING_VARIANCE = 1.0 / 12.0  # counts^2
 WEIGHTS, SQUARES = 4.0, 6.0  # sums of the sizes and of the squares of 1, 2, 1 (eq. 9)
 HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
 SUM_ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # of sums: a limit that is narrowed to the motion holds
-WELL = 1.0 / 6.0  # docs/supervision.md: keep the limit below 1/6
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class CountDetection:
     @property
     def is_sharp(self) -> bool:
         """Below 1/6 (docs/supervision.md)."""
-        return self.limit_cycles + self.motion_cycles <= WELL + ROUNDING
+        return self.limit_cycles + self.motion_cycles <= SHARP + ROUNDING
 
 
 class Limited(StrEnum):

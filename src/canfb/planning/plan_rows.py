@@ -27,10 +27,9 @@ from canfb.planning.planned_bus import BusLoad, Message, PlannedModule
 from canfb.rows import Row, as_figures, finite, those
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.front_end import LARGEST_RAD, FrontEnd
-from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES
+from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_IN_A_ROW
 
 EXCEEDED = "   <- exceeded"
-MOST_COASTED = 255
 
 
 def plan_figures(plan: Plan, changes: list[PlanChange]) -> dict[str, Any]:
@@ -333,7 +332,7 @@ def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
         f"a phase error of {CALIBRATED_PHASE_ERROR_CYCLES:g}, as after canfb calibrate": found.kept_with(
             phase_error=smaller
         ),
-        "a larger 2010:03": found.kept_with(coast_samples=MOST_COASTED),
+        "a larger 2010:03": found.kept_with(coast_samples=MOST_IN_A_ROW),
     }
     return [
         "missed or flagged samples in a row after which the position is certain: "

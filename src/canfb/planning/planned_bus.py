@@ -231,7 +231,6 @@ def in_order(messages: Iterable[Message]) -> tuple[Message, ...]:
 
 
 TIME = od.SAMPLE_TIME.mapped(32)
-NODE_ID = 0x7F
 
 
 def _of_samples(values: Values) -> list[Pdo]:
@@ -249,8 +248,8 @@ def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
     tracks = next((pdo for pdo in pdos if set(MODULE_TRACKS) <= set(pdo.entries)), None)
     if tracks is None:
         raise ValueError("samples_per_sync needs an RPDO that brings 2000:01 and 2000:02")
-    interface = tracks.can_id & NODE_ID
-    own = [pdo for pdo in pdos if pdo.can_id & NODE_ID == interface]
+    interface = tracks.can_id & cob.NODE_ID
+    own = [pdo for pdo in pdos if pdo.can_id & cob.NODE_ID == interface]
     entries = [entry for pair in (MODULE_TRACKS, *MODULE_EARLIER)[:pairs] for entry in pair]
     entries += [TIME] if times else []
     known = {TIME}.union(MODULE_TRACKS, *MODULE_EARLIER)

@@ -157,7 +157,6 @@ def pdo_fields(dictionary: Dictionary, can_id: int) -> list[FieldDifference]:
 LONGEST_GAP_S = 60.0
 
 HEAD_FRAMES = 20_000  # So many frames from the beginning of a log are asked.
-BOOT_UP = b"\0"
 
 
 class Begin(Enum):
@@ -179,7 +178,7 @@ def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) 
     pdos = {can_id for can_id in own_can_ids if 0x180 < can_id < 0x580}
     for can_id, data, _, _ in (frame for frame in head if not frame.rtr):
         if can_id == error_control and len(data) == 1:
-            if data == BOOT_UP:
+            if data == cob.BOOT_UP:
                 return Begin.BOOT_UP
             return Begin.OPERATIONAL if data[0] & 0x7F == NmtState.OPERATIONAL else Begin.PRE_OPERATIONAL
         if can_id in pdos:
@@ -371,7 +370,7 @@ class ModuleReplay:
 
     def _recorded(self, can_id: int, data: bytes, now: float) -> None:
         self.recorded_own += 1
-        if data == BOOT_UP and can_id > cob.ERROR_CONTROL:
+        if data == cob.BOOT_UP and can_id > cob.ERROR_CONTROL:
             self._booted_up(now)
         self._pairs(can_id).recorded(data, now, now + self.samples.origin_s)
 
@@ -399,7 +398,7 @@ class ModuleReplay:
                 (self._own_frames.get(can_id) or self._pairs(can_id)).replayed(data, now)
             if can_id == self._emergency.value & cob.CAN_ID:
                 self.emergencies += 1
-            elif data == BOOT_UP and can_id > cob.ERROR_CONTROL:
+            elif data == cob.BOOT_UP and can_id > cob.ERROR_CONTROL:
                 self._boot_up_s = now  # the replayed module has started: with the table that is to be tried
                 if self._correction is not None:
                     self.module.use_correction(self._correction)

@@ -78,6 +78,7 @@ def cycles_per_interval_squared(
 
 
 MOST_IN_A_ROW = 255
+SHARP = 1.0 / 6.0  # cycle: beyond it, a single missed sample may lose the position (docs/supervision.md)
 ROUNDING = 1e-9
 
 

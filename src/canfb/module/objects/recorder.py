@@ -59,9 +59,6 @@ class SampleObservers:
             observer.miss()
 
 
-COMMANDS = frozenset(od.RecordingCommand)
-
-
 class Recorder:
     """Records raw counts, one pair for each sampling interval.
 
@@ -75,7 +72,7 @@ class Recorder:
         self._interval, self._observers = interval, observers
         self._recording = recording = SampleRecording(dictionary.entry(*od.RECORDING_CAPACITY).value)
         self._command = command = dictionary.entry(*od.RECORDING_COMMAND)
-        command.on_check = refuse_if(lambda value: value not in COMMANDS)
+        command.on_check = refuse_if(lambda value: value not in [*od.RecordingCommand])
         command.on_written = self._obey
         dictionary.read_live(
             {
