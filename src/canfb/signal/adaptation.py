@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canfb.checks import number_in
+from canfb.checks import within
 from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.phase import FloatArray
@@ -149,7 +149,6 @@ GAIN = 0.5  # of the difference, each time
 MOST_STEP = 0.004  # at once, of the amplitude, or rad: 0.0006 cycle
 PER_HOUR = 1.0 / 3600.0
 HYSTERESIS = 31.0 / 32.0
-LARGEST = {"offset": 0.25, "gain": 0.5, "phase_rad": 0.25, "rate_per_hour": 10.0}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,8 +167,7 @@ class AdaptConfig:
     rate_per_hour: float = 0.5
 
     def __post_init__(self) -> None:
-        for name, most in LARGEST.items():
-            number_in(name, getattr(self, name), 0.0, most)
+        within(self, offset=(0.0, 0.25), gain=(0.0, 0.5), phase_rad=(0.0, 0.25), rate_per_hour=(0.0, 10.0))
 
     @property
     def hidden_cycles(self) -> float:

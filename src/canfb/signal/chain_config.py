@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from canfb.checks import integer_in, number_in, within
+from canfb.checks import integer_in, within
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import AnyTable, CorrectionTable, correction_of
@@ -13,6 +13,7 @@ from canfb.signal.limits import (
     COAST_SAMPLES,
     DOUBT_ACCELERATION,
     MOST_BAD_SAMPLES,
+    MOST_PHASE_ERROR_CYCLES,
     PHASE_ERROR_CYCLES,
     Declared,
 )
@@ -25,15 +26,6 @@ from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
 AMPLITUDE_LOW = 0.2
 AMPLITUDE_HIGH = 1.25
 MOST_CORNER_HZ = 1e9  # 2001:05
-LARGEST = {
-    "max_acceleration_cycles": 1000.0,
-    "phase_error_cycles": 1.0 / 16.0,
-    "doubt_acceleration_cycles": 0.5,
-    "corner_hz": MOST_CORNER_HZ,
-    "cosine_corner_hz": MOST_CORNER_HZ,
-    "sync_jitter_s": 1.0,
-    "interval_s": 1000.0,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,18 +110,24 @@ class ChainConfig:
         limit = self.coarse_limit_revolutions
         if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:
             raise ValueError(f"coarse_limit_revolutions must be above 0 and at most 0.25, not {limit!r}")
-        integer_in("bad_samples", self.bad_samples, 0, MOST_BAD_SAMPLES)
-        for name, most in LARGEST.items():
-            number_in(name, getattr(self, name), 0.0, most)
+        within(
+            self,
+            bad_samples=(0, MOST_BAD_SAMPLES),
+            max_acceleration_cycles=(0.0, 1000.0),
+            phase_error_cycles=(0.0, MOST_PHASE_ERROR_CYCLES),
+            doubt_acceleration_cycles=(0.0, 0.5),
+            corner_hz=(0.0, MOST_CORNER_HZ),
+            cosine_corner_hz=(0.0, MOST_CORNER_HZ),
+            sync_jitter_s=(0.0, 1.0),
+            interval_s=(0.0, 1000.0),
+        )
         if not self.phase_error_cycles:
             raise ValueError("phase_error_cycles must be above 0: no encoder is without")
         if not isinstance(self.conditioning, Conditioning):
             raise ValueError("conditioning must be a Conditioning")
         if not isinstance(self.adapt, (AdaptConfig, bool)):
             raise ValueError(f"adapt must be true, false or a mapping with its bounds, not {self.adapt!r}")
-        for name in ("amplitude_low_counts", "amplitude_high_counts"):
-            if getattr(self, name) is not None:
-                integer_in(name, getattr(self, name), 0, 65535)
+        within(self, amplitude_low_counts=(0, 65535), amplitude_high_counts=(0, 65535))
         if self.limits.amplitude_low_counts >= self.limits.amplitude_high_counts:
             raise ValueError("amplitude_low_counts must be below amplitude_high_counts")
 

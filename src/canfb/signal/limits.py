@@ -22,10 +22,7 @@ def max_acceleration(
 
     ``cycles_per_revolution`` and ``sample_rate_hz`` are positive. ValueError otherwise.
     """
-    if not 0.0 < cycles_per_revolution < math.inf:
-        raise ValueError(f"cycles_per_revolution must be positive, not {cycles_per_revolution!r}")
-    if not 0.0 < sample_rate_hz < math.inf:
-        raise ValueError(f"sample_rate_hz must be positive, not {sample_rate_hz!r}")
+    _check_positive(cycles_per_revolution=cycles_per_revolution, sample_rate_hz=sample_rate_hz)
     limit = check_residual_limit(residual_limit)
     return 2.0 * math.pi / cycles_per_revolution * limit * sample_rate_hz * sample_rate_hz
 
@@ -37,11 +34,14 @@ def max_speed(cycles_per_revolution: float, jitter_s: float, residual_limit: flo
     (cycles, 0 < limit <= 0.5; minus the acceleration). ``cycles_per_revolution`` and
     ``jitter_s`` are positive. ValueError otherwise.
     """
-    if not 0.0 < cycles_per_revolution < math.inf:
-        raise ValueError(f"cycles_per_revolution must be positive, not {cycles_per_revolution!r}")
-    if not 0.0 < jitter_s < math.inf:
-        raise ValueError(f"jitter_s must be positive, not {jitter_s!r}")
+    _check_positive(cycles_per_revolution=cycles_per_revolution, jitter_s=jitter_s)
     return 2.0 * math.pi / cycles_per_revolution * check_residual_limit(residual_limit) / (4.0 * jitter_s)
+
+
+def _check_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not 0.0 < value < math.inf:
+            raise ValueError(f"{name} must be positive, not {value!r}")
 
 
 # The default of 2010:0C: the error of the raw phase without a table. Eq. 9 weighs three phases with 1, 2, 1:

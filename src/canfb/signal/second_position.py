@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from canfb.checks import flag, number_in, within
+from canfb.checks import flag, within
 
 if TYPE_CHECKING:
     from canfb.signal.witness.witness import Pair
@@ -46,9 +46,9 @@ class SecondSensor:
             self,
             increments=(1, U32),
             revolutions=(1, U32),
+            tolerance_revolutions=(0.0, MOST_TOLERANCE_REVOLUTIONS),
         )
         flag("reversed", self.reversed)
-        number_in("tolerance_revolutions", self.tolerance_revolutions, 0.0, MOST_TOLERANCE_REVOLUTIONS)
         flag("invalidates", self.invalidates)
 
 
