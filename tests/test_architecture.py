@@ -17,11 +17,8 @@ PATTERN = re.compile(r"[*]|NAME|ROOM")
 PLACES = (PACKAGE, ROOT, DOCS)
 
 
-def test_the_table_is_the_rule() -> None:
+def test_the_table_is_the_rule_in_order_from_the_ground() -> None:
     assert house.imports() == ALLOWED
-
-
-def test_the_table_is_in_order_from_the_ground() -> None:
     seen: set[str] = set()
     for room, imported in house.imports().items():
         assert imported <= seen, f"{room} stands above what it may import"
@@ -64,10 +61,7 @@ def test_names_in_code_are_there() -> None:
     assert [name for name in names if not re.search(rf"\b{name}\b", code)] == []
 
 
-def test_the_page_is_short() -> None:
+def test_the_page_is_short_and_linked() -> None:
     assert len(PAGE.split()) <= WORD_LIMIT
-
-
-def test_it_is_linked() -> None:
     for page in ("README.md", "CONTRIBUTING.md"):
         assert "(docs/architecture.md)" in (ROOT / page).read_text(encoding="utf-8")

@@ -90,12 +90,9 @@ def test_the_config_of_a_module_needs_its_node_id_alone() -> None:
         canfb.ModuleConfig()  # type: ignore[call-arg]
 
 
-def test_the_fields_of_a_track_and_of_tracks() -> None:
+def test_tracks_and_tables_have_what_the_contract_says() -> None:
     assert canfb.Track._fields == ("cycles", "phase", "residual", "ok")
     assert tuple(canfb.TrackResult.__dataclass_fields__) == canfb.Track._fields
-
-
-def test_a_table_has_what_the_contract_says() -> None:
     table = canfb.CorrectionTable.identity()
     assert len(table) == 256
     assert canfb.CorrectionTable.from_bytes(table.to_bytes()).crc32 == table.crc32
@@ -119,12 +116,9 @@ def test_import_is_clean_and_brings_in_no_bus_and_no_pictures() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "\n", "")
 
 
-def test_python_m_canfb_tells_its_version() -> None:
+def test_the_version_is_that_of_the_package() -> None:
     done = python("-W", "error", "-m", "canfb", "--version")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"canfb {version('canfb')}\n", "")
-
-
-def test_the_version_is_that_of_the_package() -> None:
     assert canfb.__version__ == version("canfb")
     with pytest.raises(AttributeError, match="no attribute 'versions'"):
         _ = canfb.versions

@@ -28,11 +28,8 @@ def summaries(parser: argparse.ArgumentParser) -> dict[str, str | None]:
     return {choice.dest: choice.help for choice in subparsers(parser)._choices_actions}
 
 
-def test_names_and_summaries_are_those_that_the_files_register() -> None:
+def test_every_command_is_in_the_table_as_the_files_register_it() -> None:
     assert summaries(build_parser()) == {name: summary for name, (_, summary) in COMMANDS.items()}
-
-
-def test_every_command_is_in_the_table() -> None:
     folder = Path(table.__file__).parent
     registering = {file.stem for file in folder.glob("*.py") if "\ndef register(" in file.read_text()}
     assert {file for file, _ in COMMANDS.values()} == registering

@@ -158,4 +158,6 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
 def test_an_empty_bus(command: Command) -> None:
     with can.Bus(interface="virtual", channel="scan-empty"):
         said = command("node list -i virtual -c scan-empty --seconds 0.1").out
+        refused = command("node reset all -i virtual -c scan-empty", code=1).err
     assert said.startswith("no node answers")
+    assert refused == f"canfb: {said}"

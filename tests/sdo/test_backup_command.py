@@ -258,6 +258,11 @@ def test_preset_and_offset_are_noted_and_not_restored(canfb: Commands, tmp_path:
     out, _ = canfb(spare, "backup", "restore", path)
     assert "all values are those of" in out
     assert spare.value(0x6509, 0) == 0
+    spare.access.write(0x2010, 3, "B", 4)
+    canfb(spare, "backup", "restore", path)
+    assert (0x2020, 3) not in {place_of(one) for one in spare.master.sent if is_write(one)}, "drift goes on"
+    edit(path, "parameters:", 'parameters:\n  "6200:00": 10')
+    assert "6200:00: no parameter that a restore writes" in canfb(spare, "backup", "restore", path, code=1)[1]
 
 
 def test_a_backup_between_upload_and_activation_has_the_set_in_force(canfb: Commands, tmp_path: Path) -> None:

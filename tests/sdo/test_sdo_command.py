@@ -96,6 +96,7 @@ WRITES = [
     ("residual limit", "0.25cycle", b"\x00\x40"),
     ("inhibit time emcy", "5 x 100 us", b"\x05\x00"),
     ("2002:01", "-3.25", b"\x00\x00\x50\xc0"),
+    ("2002:01", "-.325e1", b"\x00\x00\x50\xc0"),
     ("cam 1 low", "-77", b"\xb3\xff\xff\xff"),
     ("1017", "500", b"\xf4\x01"),
 ]
@@ -181,6 +182,8 @@ def test_what_the_node_refuses_is_said_in_words(canfb: Commands, bench: Bench) -
     assert err == "canfb: 2011:01 Feedback: Status word is read only\n"
     _, err = canfb(bench, "sdo", "read", NODE, "activate", code=1)
     assert err == "canfb: 2020:03 Correction table: Activate is write only\n"
+    _, err = canfb(bench, "sdo", "write", NODE, "2040:01", "2", code=1)
+    assert err.endswith("the node does not take this value; its manual says which ones it takes\n")
     between(bench, lambda frame: abort(frame, 0x06090031) if is_write(frame) else None)
     _, err = canfb(bench, "sdo", "write", NODE, "2010:06", "7", code=1)
     assert "is refused: value of parameter written too high (06090031h); the EDS allows 2.." in err

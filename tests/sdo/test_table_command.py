@@ -285,14 +285,16 @@ def test_settings_with_which_a_table_was_measured_are_compared_and_left(
     """2001h is no part of a table: it acts at once, and on the limits of the amplitude as well."""
     path, bench = tmp_path / "table.yaml", bench_with()
     bench.access.write(0x2001, 5, "f", 20e3)
-    noted = {"cycles_per_revolution": 2500, "corner_hz": 19500.5, "cosine_corner_hz": "unknown"}
+    noted = {"cycles_per_revolution": 2500, "corner_hz": 159154.94, "cosine_corner_hz": "unknown"}
     path.write_text(as_yaml(NEW, noted))
     out, _ = canfb(bench, "table", "write", NODE, path)
     assert out.count("note: it was measured with") == 1
-    assert "2001:05 = 19500.5, module 32 (20h) has 20000: canfb sdo write 0x20 2001:05 19500.5" in out
+    assert "2001:05 = 159154.94, module 32 (20h) has 20000: canfb sdo write 0x20 2001:05 159154.94" in out
     assert bench.access.read(0x2001, 5, "f") == 20e3
-    bench.access.write(0x2001, 5, "f", 19500.5)
+    bench.access.write(0x2001, 5, "f", 159154.94)
     assert "note:" not in canfb(bench, "table", "write", NODE, path, "--activate")[0]
+    canfb(bench_with(), "table", "read", NODE, tmp_path / "other.yaml")
+    assert "2001:05 = 0, module" in canfb(bench, "table", "write", NODE, tmp_path / "other.yaml")[0]
 
 
 PAGE = page("storage").partition("\n## Tables")[2].partition("\n## Backup")[0]

@@ -99,11 +99,8 @@ def test_the_unit_knows_the_command_and_its_exit_codes() -> None:
     assert (int(setting("RestartPreventExitStatus")), FAILED) == (WRONG_USE, 1)
 
 
-def test_a_watchdog_waits_longer_than_a_slow_machine_and_restarts() -> None:
+def test_a_watchdog_waits_longer_than_a_slow_machine_and_what_realtime_needs_is_allowed() -> None:
     assert 5 <= int(setting("WatchdogSec")) <= 30
-
-
-def test_what_realtime_needs_is_allowed() -> None:
     assert "RestrictRealtime" not in UNIT
     assert setting("LimitMEMLOCK") == "infinity"
     assert {"AF_CAN", "AF_UNIX", "AF_INET"} <= set(setting("RestrictAddressFamilies").split())

@@ -7,6 +7,7 @@ write its file with ``register()``, and its line here.
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -164,6 +165,7 @@ class _Parser(argparse.ArgumentParser):
         if self._mixing or any(isinstance(action, argparse._SubParsersAction) for action in self._actions):
             return super().parse_known_args(args, namespace)
         self._mixing = True
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # a value: -1e-05 and -0x10 too
         try:
             return self.parse_known_intermixed_args(args, namespace)
         finally:

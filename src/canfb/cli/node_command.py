@@ -24,7 +24,7 @@ from canfb.cli.options import (
     option,
     positive,
 )
-from canfb.master.access import reset_nodes
+from canfb.master.access import CommissioningError, reset_nodes
 from canfb.rows import Result
 
 WORDS = {
@@ -33,6 +33,10 @@ WORDS = {
     "preop": (NmtCommand.ENTER_PRE_OPERATIONAL, "to PRE-OPERATIONAL: SDO, no PDO"),
 }
 ALL, EVERYBODY = "all", 0
+NOBODY = (
+    "no node answers, and no heartbeat is heard: are the bus, its bit rate and its power right? "
+    "A STOPPED node without heartbeat is silent: canfb node preop all"
+)
 SCAN_S = 1.2  # the heartbeat of most nodes comes once a second or more often
 
 
@@ -95,6 +99,8 @@ def reset(options: argparse.Namespace) -> int:
     with node_options.master_of(options) as master:
         if chosen == [EVERYBODY]:
             chosen = [one.node for one in scan(master, SCAN_S)]
+            if not chosen:
+                raise CommissioningError(NOBODY)
         done = reset_nodes(master, chosen, command, force=options.force)
     lines = [f"node {one['node']} ({one['node']:02X}h): reset" for one in done]
     if len(done) == 1 and done[0]["position"]:
@@ -109,9 +115,5 @@ def listed(options: argparse.Namespace) -> int:
 
     with BusMaster(open_bus(chosen_bus(options)), 0.3) as master:
         found = scan(master, options.seconds)
-    nobody = (
-        "no node answers, and no heartbeat is heard: are the bus, its bit rate and its power right? "
-        "A STOPPED node without heartbeat is silent: canfb node preop all"
-    )
-    lines = [one.line() for one in found] or [nobody]
+    lines = [one.line() for one in found] or [NOBODY]
     return node_options.say_result(options, Result([one.figures() for one in found], lines))

@@ -97,8 +97,7 @@ class StateFiles:
                 raise
             # What was pending is lost, and the files may be partly older: they are refused for good.
             changes = dict.fromkeys(PARAMETERS, b"") | dict(changes)
-        if len(changes) < 2:
-            self._copy(changes)
+        if not changes:
             return
         self._write(PENDING, _pack(changes))
         try:

@@ -24,8 +24,12 @@ from canfb.module.parameters import EDS
 
 # Always accepted, and lets others be written: the lower one of two amplitudes.
 OPENING: dict[Place, int] = {od.ENCODER_LOWEST_AMPLITUDE: 0}
-# What follows the other parameters: any lower amplitude is accepted after the full scale.
-LAST_PARAMETERS: tuple[Place, ...] = (od.ENCODER_FULL_SCALE, od.ENCODER_LOWEST_AMPLITUDE)
+# What follows the other parameters: any lower amplitude is accepted after the full scale, up to the upper.
+LAST_PARAMETERS: tuple[Place, ...] = (
+    od.ENCODER_FULL_SCALE,
+    od.ENCODER_LOWEST_AMPLITUDE,
+    od.ENCODER_HIGHEST_AMPLITUDE,
+)
 
 _PDOS = range(0x1400, 0x1C00)
 

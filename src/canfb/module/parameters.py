@@ -190,14 +190,14 @@ class Limits:
         for place, (least, most) in RANGES.items():
             entry(*place).on_check = _within(least, most)
         low.on_check = refuse_if(lambda value: value >= high.value and not self._upper_is_old)
-        high.on_check = refuse_if(lambda value: value <= low.value)
+        high.on_check = refuse_if(lambda value: value <= low.value and not self._upper_is_old)
         for place in APPLIED:
             entry(*place).on_written = self.apply
         # After another full scale the upper amplitude is that of another converter until it is written: a
         # lower one may pass it, so that a master can write the sub-indices in their order. No amplitude is
         # accepted meanwhile.
         full_scale.on_written = lambda: self._scale_written(upper_is_old=True)
-        high.on_written = lambda: self._scale_written(upper_is_old=False)
+        high.on_written = lambda: self._scale_written(upper_is_old=high.value <= low.value)
         self.reset()
 
     def reset(self) -> None:

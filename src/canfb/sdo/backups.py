@@ -206,6 +206,8 @@ def _dumped(content: Any, **options: Any) -> str:
 
 STORES = (od.STORE_ALL_PARAMETERS,)
 MOST_SHOWN = 40
+TABLE_WRITES = (od.TABLE_STAGED, od.TABLE_ACTIVATE)
+TABLE = frozenset({od.TABLE_ACTIVATE, *od.CONDITIONING})
 
 
 class Configured(Protocol):
@@ -251,13 +253,19 @@ def restore_backup(
     identity = _checked_identity(module, backup, force)
     before = read()
     after = made(before.values())
+    foreign = sorted(backup.values.keys() - after.values().keys())
+    if foreign and not force:
+        raise CommissioningError(
+            f"{listed([od.place_text(place) for place in foreign])}: no parameter that a restore writes; "
+            "--force leaves it out"
+        )
     changes = differences(before, after)
     if keep:
         check_can_save(module, STORES)
 
     def prove(configured: Configured, wrong: str) -> None:
         if changes:
-            _write(module, configured)
+            _write(module, configured, with_table=not TABLE.isdisjoint(changes))
             left = differences(read(), configured)
             if left:
                 raise CommissioningError(f"{module.name}: {wrong}: {shown(left)}")
@@ -311,8 +319,11 @@ def _leave_operational(module: NodeAccess, preop: bool) -> None:
     )
 
 
-def _write(module: NodeAccess, configured: Configured) -> None:
+def _write(module: NodeAccess, configured: Configured, *, with_table: bool) -> None:
+    """Without ``with_table`` no activation, which forgets drift."""
     for one in configured.writes():
+        if (one.index, one.subindex) in TABLE_WRITES and not with_table:
+            continue
         if (one.index, one.subindex) == od.TABLE_STAGED:
             module.download_domain(one.index, one.subindex, one.data)
         else:
@@ -415,6 +426,6 @@ def _change(place: Place, pair: tuple[Any, Any], described: ObjectDescriptions) 
         return f"  correction table: {before} -> {after}"
     entry = described.entry(*place)
     real = entry.data_type in datatypes.FLOATS
-    before, after = (f"{short_real(value):g}" if real else str(value) for value in pair)
+    before, after = (f"{short_real(value):.9g}" if real else str(value) for value in pair)
     unit = f" {entry.unit}" if entry.unit else ""
     return f"  {entry.number} {entry.title}: {before} -> {after}{unit}"

@@ -137,7 +137,7 @@ _TO_DO: dict[int, str] = {
     AbortCode.VALUE_TOO_LOW: "write a higher value",
     AbortCode.INVALID_VALUE: "the node does not take this value; its manual says which ones it takes",
     AbortCode.DEVICE_STATE: "not in this state of the node: try canfb node preop, or switch its PDO off",
-    AbortCode.LOCAL_CONTROL: "the node is under local control: release it there",
+    AbortCode.LOCAL_CONTROL: "the node is locked: release it there; canfb by 2040:02 (1 s after a bad code)",
     AbortCode.NOT_STORED: "the node cannot keep it (canfb run: state_dir), or wants the word save or load",
     AbortCode.HARDWARE: "its memory or its disk fails",
     AbortCode.UNSUPPORTED_ACCESS: "not now: a PDO that is valid cannot be changed; set bit 31 of its COB-ID",
@@ -189,7 +189,7 @@ def abort_words(code: int, entry: ObjectDescription, product: str) -> str:
     advice = _TO_DO.get(code, "")
     if code == AbortCode.DEVICE_STATE:
         advice = _OF_PLACE.get(product, {}).get(entry.place, advice)
-    is_range = code in (AbortCode.VALUE_TOO_HIGH, AbortCode.VALUE_TOO_LOW, AbortCode.INVALID_VALUE)
+    is_range = code in (AbortCode.VALUE_TOO_HIGH, AbortCode.VALUE_TOO_LOW)
     if is_range and (entry.least is not None or entry.most is not None):
         low, high = ("" if limit is None else f"{limit:g}" for limit in (entry.least, entry.most))
         advice = f"the EDS allows {low}..{high}"

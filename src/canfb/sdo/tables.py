@@ -146,7 +146,7 @@ def _from_yaml(path: Path, data: bytes) -> TableFile:
         path,
         Correction(table, _conditioning(marked, words)),
         True,
-        {at: value for at, value in noted.items() if isinstance(value, (int, float)) and 0 < value < 1e9},
+        {at: value for at, value in noted.items() if isinstance(value, (int, float)) and 0 <= value < 1e9},
         not DELAYS.isdisjoint(words),
     )
 
@@ -367,7 +367,7 @@ class TableTasks:
             "time": time,
             "canfb": version("canfb"),
             "module": self._module.node_id,
-            "cycles_per_revolution": state.cycles_per_revolution,
+            **{key: self._module.read_known(place) for key, place in NOTED.items()},
         }
         write_whole(path, as_yaml(used, meta).encode() if is_yaml(path) else table.to_bytes())
         what = "the identity: no table is active" if state.used.table is None else "the active table"
@@ -382,8 +382,8 @@ class TableTasks:
         """2001h where it differs from that of the measurement: set up by hand, no part of a table."""
         node = f"{self._module.node_id:#04x}"
         return [
-            f"note: it was measured with {text} = {value:g}, {self._module.name} has {there:g}: "
-            f"canfb sdo write {node} {text} {value:g}, if that is right"
+            f"note: it was measured with {text} = {value:.9g}, {self._module.name} has {there:.9g}: "
+            f"canfb sdo write {node} {text} {value:.9g}, if that is right"
             for place, value in file.noted.items()
             for text in [od.place_text(place)]
             if (there := self._module.read_known(place)) is not None and there != as_real32(value)
