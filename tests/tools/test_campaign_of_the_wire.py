@@ -39,6 +39,7 @@ FOUND = (  # each was valid and wrong
     "PDOs late by 1 and 2:servo/rx:2010001000036", "SYNC, another rate:plain/rx:2030001000099",
     "coarse track, any loss:plain/rx:2040001000019", "stamp, one bad, TPDO 1:servo:2050001000026",
     "stamp, clock steps:times-free:2050001000070", "zero pulse false:servo/rx:2020001000001",
+    "SYNC, another rate, times:servo/rx:997000331", "SYNC, another rate, times:servo/rx:997000993",
     "settings written:counter/rx:3040001000057", "NMT pause, samples later:counter/rx:6100001000009",
 )  # fmt: skip
 KEPT = ("PDOs behind later SYNCs:times+counter/rx:4010001000008",)  # each was lost

@@ -74,20 +74,20 @@ class InterfaceGrid:
         self.forget()
 
     def forget(self) -> None:
-        self._learned_s = 0.0
+        self._learned_s, self._syncs = 0.0, 0
 
-    def follow(self) -> None:
+    def follow(self, syncs: int) -> None:
         """Before a sample with its time. While the grid is not known, times measure no intervals.
 
-        Another rate loses a machine that moves: the interface may still sample at the old.
+        ``syncs`` carry the line of SYNC, fewer another one, which loses a machine that moves.
         """
-        learned_s = self._learned_s  # before the next line learns
-        grid_s, chain = self._grid_s(), self._chain
+        learned_s, another = self._learned_s, syncs < self._syncs  # before the next line learns
+        grid_s, chain, self._syncs = self._grid_s(), self._chain, syncs
         # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
         chain.measures_intervals = grid_s > 0.0
+        if another or (learned_s and abs(grid_s - learned_s) > CLOSE * grid_s):
+            chain.uncertain(1.0)
         if abs(grid_s - chain.sync_interval_s) > SAME_GRID * grid_s:
-            if learned_s and abs(grid_s - learned_s) > CLOSE * grid_s:
-                chain.uncertain(1.0)
             chain.sync_interval_s = grid_s
 
     def _grid_s(self) -> float:

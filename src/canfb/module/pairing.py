@@ -368,8 +368,7 @@ class Pairing(ProcessData):
             return self._answer(place)
         self.count_bad_frame()
         if place <= self._answered:  # more samples than SYNCs
-            explained = syncs.extra_came or self._stages.repeats(parts.sine.value, parts.cosine.value)
-            if not explained:
+            if not (syncs.extra_came or self._stages.repeats(parts.sine.value, parts.cosine.value)):
                 self._lose_count(1.0, now)
             elif self._next_may_have_come:
                 self._publishing.withhold()  # equal counts may be whole cycles further on
@@ -425,19 +424,21 @@ class Pairing(ProcessData):
             syncs.sync(call.received, call.is_stamped, None)  # each sample is its own
         self._limits.unit_changed()
         if self._interval.samples_per_sync > 1:
-            self._grid.follow()
+            self._grid.follow(syncs.grid.seen)
         last = self._publishing.last
         feedback = self._chain.step(sample, received_s, synced_s, place > self._accounted)
         is_new = last is None or feedback.samples != last.samples
         if is_new:
-            self._out(sample, self._withheld(feedback) if self.unconfirmed else feedback, now)
+            is_open = self._chain.between and (syncs.grid.row if syncs.stamped else syncs.grid.early)
+            withheld = self.unconfirmed or (is_open and self._chain.slips(1.0))  # SYNC at another rate?
+            self._out(sample, self._withheld(feedback) if withheld else feedback, now)
         elif self._chain.times.passed > 0.0 and self._chain.slips(1.0):
             self._publishing.withhold()  # the position is that of the sample before, if its time is right
-        if not (is_new or self._chain.crowded):
+        if is_new or self._chain.crowded:
+            self._sample_came += 1
+            self._answer(max(place, self._accounted))
+        else:
             self.count_bad_frame()
-            return
-        self._sample_came += 1
-        self._answer(max(place, self._accounted))
 
     def _answered_sync(self, delay_s: float) -> tuple[int, float | None]:
         """Its place, and when it was received, None if that is open: then it is the next one."""

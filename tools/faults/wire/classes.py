@@ -464,7 +464,7 @@ CLASSES = {
     "SYNC, another rate, doubled": WireClass(
         clocks.producer_changes_rate, SYNC_DOUBLED, torque=0.0, of="stamps !times"
     ),
-    "SYNC, another rate, times": WireClass(clocks.producer_changes_rate, torque=0.0, of="times !servo"),
+    "SYNC, another rate, times": WireClass(clocks.producer_changes_rate, torque=0.0, of="times"),
     "SYNC faster, TPDO 1": WireClass(clocks.faster_sync, torque=0.0, of="!counter !servo"),
     "lost, then NMT": WireClass(clocks.lost_then_started, torque=0.0, of="!servo"),
     "reset node in motion": WireClass(clocks.reset_in_motion, torque=0.0, of="!servo"),

@@ -122,11 +122,12 @@ def producer_shifts(plan: Plan) -> None:
 
 
 def producer_changes_rate(plan: Plan) -> None:
-    """Another period, so that the machine goes whole cycles more, or fewer, in each."""
-    speed = a_speed(plan, 4.0, 40.0)
+    """Another period, at once of all samples: the machine goes whole cycles more, or fewer, in each."""
+    speed, part = a_speed(plan, 4.0, 40.0), 0.65 if plan.setup.servo else 0.35
     machine(plan, speed, 100)
     _even(plan)
-    rates = [k / abs(speed) for k in range(-40, 41) if k and -0.35 < k / abs(speed) < 0.45]
+    plan.options.follows = True
+    rates = [k / abs(speed) for k in range(-40, 41) if k and -part < k / abs(speed) < part + 0.1]
     rate = float(plan.rng.choice(rates))
     plan.note = "P8 for a while" if step_note(plan, rate) else ""  # the later ones are further off
     for n, slot in enumerate(plan.slots[plan.fault :], 1):
@@ -253,13 +254,8 @@ def _producer_stalls(plan: Plan, begin: float, end: float) -> None:
 
 
 def longest_bridged(limit: float) -> int:
-    """Whole periods of the longest stall in which only one motion is possible."""
-    return max(n for n in range(1, 40) if _cycles_apart(n, limit) <= 1.0)
-
-
-def _cycles_apart(stall: int, limit: float) -> float:
-    """How far two motions through the same phases can part in a stall of so many whole periods."""
-    return (stall + 1) ** 2 // 4 * 2.0 * limit + 4.0 * PHASE_ERROR * (stall + 1)
+    """Whole periods of the longest stall in which two motions of the same phases part by a cycle at most."""
+    return max(n for n in range(2, 41) if n**2 // 4 * 2.0 * limit + 4.0 * PHASE_ERROR * n <= 1.0) - 1
 
 
 def stalls_at_the_start(plan: Plan) -> None:

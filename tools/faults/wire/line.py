@@ -193,7 +193,8 @@ def _send_samples(
     tracks = partial(counts, rng=rng, exact=exact, amplitude=AMPLITUDE_COUNTS, most_noise=math.inf)
     sine, cosine = tracks(positions)
     # The clock of the interface takes the earlier pair half a period before, wherever the newest one is.
-    half_before = plan.motion.at([one.time - 0.5 for one in samplings])
+    apart = np.diff(named, prepend=named[0] - 1.0) if plan.options.follows else 1.0
+    half_before = plan.motion.at(np.subtract(named, 0.5 * apart))
     earlier = tracks(half_before) if plan.setup.servo else None
     offset = int(rng.integers(1 << 32))
     if rng.integers(3) == 0:  # the clock of the interface wraps during the episode

@@ -81,6 +81,7 @@ class Options:
     coarse: bool = False  # RPDO2 with the coarse track
     second: float = 0.0  # RPDO2 with a second position: 2014:04, revolutions
     stays: bool = False  # 1029h:01 is 1: OPERATIONAL also without a bus
+    follows: bool = False  # the earlier sample lies in the middle at another rate, too
     acceleration: bool = False  # TPDO3 with status and 2011:09
 
 
