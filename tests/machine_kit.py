@@ -23,7 +23,7 @@ BEFORE = {
     od.ENCODER_LOWEST_AMPLITUDE: 410, od.ENCODER_HIGHEST_AMPLITUDE: 2560,
     od.SUPERVISION_RESIDUAL_LIMIT: 21845, od.SUPERVISION_ACCELERATION: 0.0, od.SUPERVISION_FROZEN: 0,
     od.SUPERVISION_COARSE_LIMIT: 2048, od.SUPERVISION_PHASE_ERROR: 819, od.SUPERVISION_PERIODS: 2,
-    od.SUPERVISION_SYNC_JITTER: 0.0, od.ENCODER_CYCLES_PER_REVOLUTION: N,
+    od.SUPERVISION_SYNC_JITTER: 0.0,
 }  # fmt: skip
 
 
@@ -99,7 +99,7 @@ class SimulatedMachine:
             od.ENCODER_LOWEST_AMPLITUDE: round(0.2 * full),
             od.ENCODER_HIGHEST_AMPLITUDE: round(1.25 * full),
         }
-        return SupervisionLimits(BEFORE | default)
+        return SupervisionLimits(BEFORE | default | {od.ENCODER_CYCLES_PER_REVOLUTION: N})
 
     def commissioned(
         self, count: int, margin: float = 2.0, known: float = 0.0
