@@ -84,6 +84,9 @@ def test_everything_nested_becomes_what_it_stands_for() -> None:
 
 def test_what_is_left_out_has_its_default() -> None:
     config = parse_config("modules: [{node_id: 5}]")
+    assert (
+        parse_config("modules: [{node_id: 5, second_position: null}]\nsimulation:").modules == config.modules
+    )
     assert config == Config(modules=[canfb.ModuleConfig(node_id=5)])
     assert config.realtime == RealtimeConfig(priority=0, lock_memory=False, cpu=None)
     assert config.simulation.motion.motion().ripples == ()

@@ -66,8 +66,5 @@ def test_names_are_listed_before_they_are_loaded() -> None:
     done = python("-c", code)
     assert set(done.stdout.splitlines()[0].split()) >= {*canfb.__all__, "__version__"}
     assert done.stdout.splitlines()[1].startswith("FeedbackModule ")
-
-
-def test_a_name_is_looked_up_once() -> None:
     assert inspect.isclass(canfb.Tracker)
     assert vars(canfb)["Tracker"] is canfb.Tracker

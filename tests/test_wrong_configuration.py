@@ -52,6 +52,8 @@ WRONG = {
     "modules:\n- node_id:\n": "2: node_id must be a whole number 1..127, not None",
     "modules:\n- node_id: [3]\n": "2: 'node_id' in modules[0] must be a single value",
     "modules:\n- node_id: {a: 3}\n": "2: 'node_id' in modules[0] must be a single value",
+    MODULE + "  adc_bits: 012\n": "3: adc_bits must be a whole number 4..16, not '012'",
+    MODULE + "  conditioning: {sine_gain: yes}\n": "3: sine_gain must be a finite number, not True",
     MODULE + "  autostart: 1\n": "3: autostart must be true or false, not 1",
     MODULE + "  state_dir: 4\n": "3: state_dir must be the name of a folder",
     MODULE + "  samples_per_sync: 2\n  source: {kind: iio, device: x, scans_per_sync: 5}\n": (

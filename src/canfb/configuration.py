@@ -154,20 +154,17 @@ def parse_config(text: str, name: str = "configuration", needs: Sequence[str] = 
 
 
 def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfig:
-    """The module with other values, KEY=VALUE as in YAML, but for ``source``. ConfigError."""
-    known = [one.name for one in fields(ModuleConfig) if one.name != "source"]
+    """The module with other values, KEY=VALUE as in YAML, not ``source``. ConfigError."""
+    known = {one.name: one for one in fields(ModuleConfig) if one.name != "source"}
     values: dict[str, Any] = {}
     for setting in settings:
         key, equals, text = setting.partition("=")
         if not equals or key not in known:
-            why = _unknown(key, known, "a module") if equals else "write it as KEY=VALUE"
+            why = _unknown(key, list(known), "a module") if equals else "write it as KEY=VALUE"
             raise ConfigError(_short(f"--set {setting}: {why}"))
-        try:
-            values[key] = construct(compose(text, exponents=True))
-            if key in _HOLDS and not (key in _OR_FLAG and isinstance(values[key], bool)):
-                values[key] = _HOLDS[key](**values[key])
-        except (yaml.YAMLError, ValueError, TypeError) as error:
-            raise ConfigError(_short(f"--set {setting}: {error}")) from None
+        name = f"--set {key}"
+        node = _compose(text, name)
+        values[key] = node and _Reader(name).value(key, node, "a module", known[key])
     try:
         return replace(module, **values)
     except (ValueError, TypeError) as error:
@@ -241,7 +238,7 @@ class _Reader:
             key = key_node.value
             if key not in known:
                 raise self._fail(key_node, _unknown(key, list(known), where))
-            values[known[key].name] = self._value(key, value_node, where, known[key])
+            values[known[key].name] = self.value(key, value_node, where, known[key])
             lines[key] = key_node
         for one in known.values():
             if one.default is one.default_factory is MISSING and one.name not in values:
@@ -255,7 +252,7 @@ class _Reader:
             guilty = (lines[word] for word in re.findall(r"\w+", str(error)) if word in lines)
             raise self._fail(next(guilty, node), f"{where}: {error}") from None
 
-    def _value(self, key: str, node: yaml.Node, where: str, into: Field[Any]) -> Any:
+    def value(self, key: str, node: yaml.Node, where: str, into: Field[Any]) -> Any:
         what = f"'{key}' in {where}"
         if key == "simulation":
             from canfb.simulation.scenario import SECTION  # here: a file without it loads no simulation
@@ -272,9 +269,11 @@ class _Reader:
         if into.metadata.get("list", False) and isinstance(node, yaml.SequenceNode):
             items = self._inside(node, yaml.SequenceNode, what, "a list")
             return [self._single(item, f"a part of {what}") for item in items]
-        if kind is SourceConfig and node.tag != f"{_TAG}null":
+        if into.default is None and node.tag == f"{_TAG}null":
+            return None
+        if kind is SourceConfig:
             return self.read(node, self._kind_of_source(node), key)
-        if kind in (None, SourceConfig) or (key in _OR_FLAG and isinstance(node, yaml.ScalarNode)):
+        if kind is None or (key in _OR_FLAG and isinstance(node, yaml.ScalarNode)):
             return self._single(node, what)
         return self.read(node, kind, key)
 
@@ -312,9 +311,15 @@ def _check_distinct_nodes(name: str, root: yaml.Node, config: Config) -> None:
         for title, one, _ in devices
         if isinstance(one, ModuleConfig) and one.source is None
     }
-    for (title, _, line), (other, theirs, _) in itertools.permutations(devices, 2):
-        if isinstance(theirs, ModuleConfig) and sampled.get(title) == theirs.node_id:
+    for (title, mine, line), (other, theirs, _) in itertools.permutations(devices, 2):
+        if sampled.get(title) != theirs.node_id:
+            continue
+        if isinstance(theirs, ModuleConfig):
             said = f"encoder_interface {theirs.node_id} of {title} is the node_id of {other}"
+            raise _config_error(name, line, said)
+        asked, sent = ((one.times, one.samples_per_sync) for one in (mine, theirs))
+        if asked != sent and (mine.times or mine.samples_per_sync > theirs.samples_per_sync):
+            said = f"times and samples_per_sync of {title} are not those of {other}, its interface"
             raise _config_error(name, line, said)
     for (other, theirs, _), (title, mine, line) in itertools.combinations(devices, 2):
         both = f"of {title} is also that of {other}"

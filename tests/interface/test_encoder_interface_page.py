@@ -129,7 +129,7 @@ ONE = "interfaces:\n- node_id: 16\n"
 WRONG = {
     "modules: [{node_id: 3}]": "1: 'interfaces' is missing: a list with at least one encoder interface",
     ONE: "2: 'source' is missing in interfaces[0]",
-    f"{ONE}  source: null\n": "3: interfaces[0]: source must be a configuration of a source, not None",
+    f"{ONE}  source: null\n": "3: 'source' must be a mapping with a kind, such as",
     f"{ONE}  {ADC}\n  residual_limit: 0.3\n": "4: unknown key 'residual_limit' in interfaces[0]",
     f"{ONE}  {ADC}\n  samples_per_sync: 9\n": "4: samples_per_sync must be a whole number 1..8, not 9",
     f"interfaces: [{{node_id: 1, {ADC}, samples_per_sync: 2}}]": (
@@ -138,6 +138,7 @@ WRONG = {
     f"interfaces: [{{node_id: 128, {ADC}}}]": "1: node_id must be a whole number 1..127",
     f"interfaces: [{{node_id: 1, {ADC}, state_dir: 4}}]": "1: state_dir must be text, not 4",
     f"interfaces: [{{node_id: 1, {ADC}, times: 1}}]": "1: times must be true or false, not 1",
+    BOTH.replace("0x10}", "0x10, samples_per_sync: 2}"): "2: times and samples_per_sync of modules[0] are",
     BOTH.replace("id: 0x10, s", "id: 0x20, s"): "4: node_id 32 of interfaces[0] is also that of modules[0]",
     f"interfaces:\n- {{node_id: 16, {ADC}}}\n- {{node_id: 16, {ADC}}}\n": (
         "3: node_id 16 of interfaces[1] is also that of interfaces[0]"

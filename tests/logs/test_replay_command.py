@@ -228,7 +228,9 @@ WRONG = [
     ("bus.log --table words.asc", 1, "this is not a correction table"),
     ("bus.log --config source.yaml", 2, "module 32 has a source of its own"),
     ("bus.log --workers 2", 2, "--workers: is for a folder of logs"),
-    ("bus.log --frames bus.log", 2, "--out, --frames: bus.log is the log itself"),
+    ("bus.log --report ./bus.log", 2, "--out, --frames, --report: must differ, also from the log"),
+    ("bus.log --set 'adapt={ofset: 1}'", 2, "unknown key 'ofset' in adapt; did you mean 'offset'?"),
+    ("bus.log --out x.csv --report x.csv", 2, "--out, --frames, --report: must differ, also from the log"),
     ("empty.log --frames words.asc", 1, "there is no frame with an 11-bit identifier in it"),
 ]
 

@@ -349,6 +349,8 @@ def test_raw_phase_1_is_raw_phase_0_for_a_table(raw: float, name: str) -> None:
 
 
 def test_an_option_that_it_does_not_have_is_named() -> None:
+    with pytest.raises(ValueError, match="cosine_delay_s needs interval_s"):
+        process_stream([], ChainConfig(conditioning=Conditioning(cosine_delay_s=1e-6)))
     with pytest.raises(TypeError, match="no option 'coast'; it takes max_acceleration_cycles"):
         process([1.0, 2.0], [1.0, 2.0], coast=1)
     with pytest.raises(ValueError, match="phase_error_cycles"):

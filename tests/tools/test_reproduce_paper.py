@@ -25,10 +25,7 @@ def test_every_claim_is_as_expected_and_as_the_page_has_it(found: list[Claim]) -
     unexpected = {one.key: one.verdict for one in found if one.verdict is not Verdict.YES}
     assert unexpected == NOT_PLAIN
     assert [row[4] for row in reproduce.rows_of_the_page()] == [one.verdict for one in found]
-
-
-def test_the_figures_of_the_page_are_of_the_same_kind(found: list[Claim]) -> None:
-    """They come from the long runs there."""
+    # Its figures are of the same kind; they come from the long runs.
     for row, claim in zip(reproduce.rows_of_the_page(), found, strict=True):
         words, others = ([word for word in text.split() if word.isalpha()] for text in (row[3], claim.ours))
         assert words == others

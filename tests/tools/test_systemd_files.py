@@ -92,14 +92,11 @@ def test_udev_accepts_the_rule() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_the_unit_knows_the_command_and_its_exit_codes() -> None:
+def test_the_unit_knows_command_and_exit_codes_waits_for_a_slow_machine_and_allows_realtime() -> None:
     assert setting("Type") == "notify"
     assert setting("ExecStart") == "/opt/canfb/bin/canfb run /etc/canfb/%i.yaml"
     assert setting("Restart") == "on-failure"
     assert (int(setting("RestartPreventExitStatus")), FAILED) == (WRONG_USE, 1)
-
-
-def test_a_watchdog_waits_longer_than_a_slow_machine_and_what_realtime_needs_is_allowed() -> None:
     assert 5 <= int(setting("WatchdogSec")) <= 30
     assert "RestrictRealtime" not in UNIT
     assert setting("LimitMEMLOCK") == "infinity"

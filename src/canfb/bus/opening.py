@@ -184,7 +184,7 @@ def check_words(words: Mapping[str, Any]) -> None:
         raise ConfigError(f"unknown interface {interface!r} in bus; {_hint(str(interface), known)}")
     for key in ("bitrate", "data_bitrate"):
         value = words.get(key)
-        if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value <= 0):
+        if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value < 10_000):
             raise ConfigError(f"{key} in bus must be bits per second, such as 1000000, not {value!r}")
     if interface is None:
         return

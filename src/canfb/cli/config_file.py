@@ -30,7 +30,7 @@ from canfb.hosting.hosting import check_machine, saved_configuration
 from canfb.master.access import NodeAccess
 from canfb.module.device_configuration import ConfigurationFiles, place_names, read_configuration
 from canfb.module.module_config import ModuleConfig
-from canfb.rows import Result, those
+from canfb.rows import Result
 
 EXAMPLE = """\
 # canfb run CONFIG.yaml, canfb simulate CONFIG.yaml
@@ -148,6 +148,8 @@ def write_dcf(options: argparse.Namespace) -> int:
     files = ConfigurationFiles(
         configuration, options.out, options.concise, inline, reals, options.name, words
     )
+    if options.concise is not None and options.concise.resolve() == files.path.resolve():
+        raise ConfigError(f"--concise {options.concise}: must differ from --out")
     files.write(*file_date_and_time())
     say_result(options, Result(files.summary(), files.lines()))
     refused = configuration.refused_in_index_order()
@@ -165,14 +167,8 @@ def _check(options: argparse.Namespace) -> None:
         refuse_idle(options, ["timeout", "config"], "only with NODE alone, which is read over the bus")
         options.config = options.subject
     plain = options.name.isascii() and options.name.isprintable() and ";" not in options.name
-    for said in those(
-        (not plain, f"--name {options.name!r}: must be printable ASCII without ';'"),
-        (
-            options.out and options.out == options.concise,
-            f"--concise {options.concise}: must differ from --out",
-        ),
-    ):
-        raise ConfigError(said)
+    if not plain:
+        raise ConfigError(f"--name {options.name!r}: must be printable ASCII without ';'")
     for name, path in (("--out", options.out), ("--concise", options.concise)):  # before one is written
         if path is not None:
             check_writable(path, name)

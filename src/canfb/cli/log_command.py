@@ -158,10 +158,10 @@ def replay(options: argparse.Namespace) -> int:
     options.log = required_file(options.log)
     settings = settings_of(options)
     several = len(settings.modules) > 1 and (options.out or options.report) and not options.log.is_dir()
-    written = [path.resolve() for path in (options.out, options.frames) if path]
+    files = [path.resolve() for path in (options.log, options.out, options.frames, options.report) if path]
     for said in those(
         (several, "--out, --report: are for one module; choose it by NODE"),
-        (options.log.resolve() in written, f"--out, --frames: {options.log} is the log itself"),
+        (len(files) > len(set(files)), "--out, --frames, --report: must differ, also from the log"),
     ):
         raise ConfigError(said)
     if options.report is not None:
@@ -204,7 +204,7 @@ def settings_of(options: argparse.Namespace) -> ReplayOptions:
 
 def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
     try:
-        if options.config:
+        if options.config is not None:
             config = load_config(options.config)
             modules = config.modules if options.module is None else [chosen_module(options, config)]
         else:

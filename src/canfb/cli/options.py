@@ -212,13 +212,14 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
 def chosen_bus(options: argparse.Namespace) -> dict[str, Any]:
     from canfb.configuration import ANY_NODES, load_config
 
-    return bus_options(options, load_config(options.config, ANY_NODES).bus if options.config else {})
+    config = options.config
+    return bus_options(options, {} if config is None else load_config(config, ANY_NODES).bus)
 
 
 def named_config(options: argparse.Namespace) -> Config:
     from canfb.configuration import Config, load_config
 
-    return load_config(options.config) if options.config else Config()
+    return load_config(options.config) if options.config is not None else Config()
 
 
 T = TypeVar("T")
@@ -381,13 +382,15 @@ JITTER = jitter_of("have the SYNC jitter on purpose, uniformly")
 def jittered(config: Config, options: argparse.Namespace) -> Config:
     from canfb.simulation.embedded_bus import LARGEST_PART  # here: most commands simulate nothing
 
-    if options.jitter is None:
-        return config
-    seconds = jitter_s(options, options.rate)
-    if seconds * options.rate > LARGEST_PART:
+    name, seconds = "sync_jitter_us", config.simulation.sync_jitter_us * 1e-6
+    if options.jitter is not None:
+        name, seconds = "--jitter", jitter_s(options, options.rate)
+    if seconds * (options.rate or 0.0) > LARGEST_PART:
         raise ConfigError(
-            f"--jitter: is {seconds * options.rate:.0%} of the period; at most {LARGEST_PART:.0%} "
+            f"{name}: is {seconds * options.rate:.0%} of the period; at most {LARGEST_PART:.0%} "
             f"({LARGEST_PART / options.rate * 1e6:.0f}us)"
         )
+    if options.jitter is None:
+        return config
     simulation = replace(config.simulation, sync_jitter_us=seconds * 1e6, sync_jitter_rms_us=0.0)
     return replace(config, played=simulation)

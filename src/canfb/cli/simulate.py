@@ -108,7 +108,7 @@ def simulate(options: argparse.Namespace) -> int:
         raise ConfigError("CONFIG.yaml is required: its module and its simulation")
     config = load_config(options.config)
     words = bus_options(options, config.bus)
-    record = None if options.record is None else check_record(options.record)
+    record = None if options.record is None else check_record(options.record, options.samples)
     simulating = Simulating(*chosen(options, config), words, config.realtime, options.seconds)
     network = simulating.network
     with (
@@ -158,10 +158,12 @@ def _layout(options: argparse.Namespace) -> RecordingLayout:
     return replace(layout, gap_s=options.gap, gap_samples=options.gap_samples)
 
 
-def check_record(name: str) -> Path:
+def check_record(name: str, samples: str | None = None) -> Path:
     path = Path(name)
     if path.suffix not in WRITERS:
         raise ConfigError(f"--record {name}: the name must end with {' or '.join(WRITERS)}")
+    if samples is not None and path.resolve() == Path(samples).resolve():
+        raise ConfigError(f"--record {name}: is the recording that is played")
     check_writable(path, "--record")
     return path
 

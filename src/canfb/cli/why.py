@@ -20,6 +20,7 @@ from canfb.cli.options import (
     bus_options,
     checked,
     group,
+    named_config,
     nodes,
     option,
     positive,
@@ -60,7 +61,7 @@ def register(commands: Commands) -> None:
         idle=(
             (["out", "seconds"], "bundle", True, "only with --bundle"),
             (["json"], "bundle", False, "not with --bundle, which writes JSON"),
-            (["nodes", "config"], "status", False, "not with --status, which needs no bus"),
+            (["nodes", "config", "bundle"], "status", False, "not with --status, which needs no bus"),
         ),
     )
 
@@ -122,8 +123,9 @@ def why(options: argparse.Namespace) -> int:
         return diagnose(options)
     if options.status is not None:
         return node_options.say_result(options, decoded(options.status))
-    if len(options.nodes) != 1 or options.module is None:
+    chosen = options.nodes or [one.node_id for one in named_config(options).modules]
+    if len(chosen) != 1:
         raise ConfigError("one NODE is required, a node-ID such as 32 or 0x20; several with --bundle only")
     with node_options.master_of(options) as master:
-        found = read_lost_position(NodeAccess(master, options.module, "module"))
+        found = read_lost_position(NodeAccess(master, chosen[0], "module"))
     return node_options.say_result(options, found.result())

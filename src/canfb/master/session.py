@@ -58,7 +58,7 @@ KINDS = {one.place: one for one in (*LIMITS, CORNER, JITTER)}
 
 @dataclass(frozen=True)
 class SupervisionLimits:
-    """The objects that :attr:`settings` come from, and what the chain needs beside them.
+    """What :attr:`settings` come from, and what the chain needs beside.
 
     values                  :data:`LIMITS` in their units, those that other settings depend on, the RPDOs
     noise_cycles            2011:0B; None: not known

@@ -97,7 +97,7 @@ class DeviceConfiguration:
         return [*first, *parameters, *self._table_writes(), *later]
 
     def changed(self) -> dict[Place, Any]:
-        dictionary = FeedbackModule(ModuleConfig(node_id=self.node_id)).dictionary
+        dictionary = FeedbackModule(ModuleConfig.factory(self.node_id)).dictionary
         return {
             setting.place: setting.value
             for setting in self.settings
@@ -106,7 +106,7 @@ class DeviceConfiguration:
 
     def refused_in_index_order(self) -> list[Place]:
         """What factory defaults refuse when each object is written once, ascending; PDOs first."""
-        module = FeedbackModule(ModuleConfig(node_id=self.node_id))
+        module = FeedbackModule(ModuleConfig.factory(self.node_id))
         module.start(0.0)
         pdos = [write for write in self.writes() if write.index in _PDOS]
         writes = [setting.write(setting.value) for setting in self.settings]
@@ -133,7 +133,7 @@ def configuration_read(
     node_id: int, read: Callable[[Entry], Any], serial_number: int, table: bytes
 ) -> DeviceConfiguration:
     """Of the module `node_id`, 1..127, whose values are `read(entry)`."""
-    template = FeedbackModule(ModuleConfig(node_id=node_id, serial_number=serial_number))
+    template = FeedbackModule(ModuleConfig.factory(node_id, serial_number))
     return _collect(template, read, table)
 
 

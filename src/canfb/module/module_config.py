@@ -152,6 +152,12 @@ class ModuleConfig(ChainConfig):
         if folder is not None and not (isinstance(folder, str) and folder.strip() and "\0" not in folder):
             raise ValueError(f"state_dir must be the name of a folder, not {self.state_dir!r}")
 
+    @classmethod
+    def factory(cls, node_id: int, serial_number: int = 0) -> ModuleConfig:
+        """Defaults, of any node-ID."""
+        interface = cls.encoder_interface + (node_id == cls.encoder_interface)
+        return cls(node_id=node_id, serial_number=serial_number, encoder_interface=interface)
+
     @property
     def adc_pdos(self) -> int:
         """RPDOs for the samples: two pairs, or one and the time, fill one."""

@@ -145,9 +145,7 @@ def assumed_layout(node_id: int) -> NodeLayout:
 
 
 def assumed_objects(node_id: int) -> Read:
-    usual = ModuleConfig(node_id=UNCONFIGURED).encoder_interface
-    interface = usual if node_id != usual else node_id % 127 + 1
-    return _reader(ModuleConfig(node_id=node_id, encoder_interface=interface))
+    return _reader(ModuleConfig.factory(node_id))
 
 
 def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, tuple[Read, Origin]]:

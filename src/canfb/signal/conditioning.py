@@ -81,7 +81,7 @@ class Conditioning:
 
     def __post_init__(self) -> None:
         for name, value in self.words.items():
-            if not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
                 raise ValueError(f"{name} must be a finite number, not {value!r}")
         for name in ("sine_gain", "cosine_gain"):
             if not 1e-3 <= abs(getattr(self, name)) <= 1e3:

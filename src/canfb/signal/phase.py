@@ -45,7 +45,7 @@ def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
     if np.iscomplexobj(values):
         raise ValueError(f"{name} must be real numbers, not complex ones")
     try:
-        return np.asarray(values, dtype=np.float64)
+        return np.asarray(np.ma.filled(np.ma.asarray(values, np.float64), np.nan))
     except OverflowError:
         raise ValueError(f"{name} must be less than 1.8e308") from None
 

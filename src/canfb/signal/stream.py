@@ -134,6 +134,9 @@ class Stream:
         speed_cycles: float,
         supervised: bool = True,
     ) -> None:
+        if not config.interval_s and (config.conditioning.cosine_delay_s or config.adapt):
+            what = "adapt" if config.adapt else "a conditioning with cosine_delay_s"
+            raise ValueError(f"{what} needs interval_s, the sampling interval in seconds")
         self._stages = Stages(config, table)
         self._supervised = supervised
         if not supervised:
@@ -353,9 +356,6 @@ def process(
     if unknown:
         raise TypeError(f"process() has no option {min(unknown)!r}; it takes {', '.join(DECLARED)}")
     config = ChainConfig(residual_limit=residual_limit, conditioning=used.conditioning, **declared)
-    if not config.interval_s and (config.conditioning.cosine_delay_s or config.adapt):
-        what = "adapt" if config.adapt else "a conditioning with cosine_delay_s"
-        raise ValueError(f"{what} needs interval_s, the sampling interval in seconds")
     stream = Stream(config, used.table, speed_cycles or 0.0, supervised=False)
     results = iter([stream.take(sines, cosines)])
     (result,) = from_standstill(results, config) if speed_cycles is None else results
