@@ -27,7 +27,7 @@ from itertools import pairwise
 
 from tools.faults.machine import within_half
 from tools.faults.wire import physics
-from tools.faults.wire.line import Event, Line, Plan, Sent
+from tools.faults.wire.line import TICK_S, Event, Line, Plan, Sent
 from tools.faults.wire.setups import (
     CYCLES_PER_REVOLUTION,
     EMCY_ID,
@@ -176,7 +176,9 @@ class Judge:
         shown = [(line.named[n], one.position) for n, one in self._samples()]
         if self._plan.setup.servo:
             return self._is_legal(self._with_earlier(shown), 4.0 * LIMIT_MARGIN)  # noise / step^2, at T/2
-        return self._is_legal(shown)
+        fastest = max(abs(two - one) for one, two in pairwise(line.positions))
+        rounded = 2.0 * fastest * TICK_S / self._plan.options.interval_s  # second differences of times
+        return self._is_legal(shown, LIMIT_MARGIN + rounded)
 
     def _with_earlier(self, shown: list[tuple[float, float]]) -> list[tuple[float, float]]:
         """With the earlier pair of each PDO, T/2 before, in the cycle that its speed gives, not over gaps."""
