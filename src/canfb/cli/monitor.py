@@ -108,8 +108,7 @@ def monitor(options: argparse.Namespace) -> int:
     layouts = known_layouts(config, options.nodes)
     if options.sdo and not layouts:
         raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
-    assume = None if options.nodes else assumed_layout
-    model = BusModel(layouts, assume, words.get("bitrate"), only_known=bool(options.nodes))
+    model = BusModel(layouts, assumed_layout, words.get("bitrate"), only_known=bool(options.nodes))
     page = _live_page(options) if options.web else None
     with contextlib.ExitStack() as held:
         show, rate_hz = held.enter_context(output(options, page))

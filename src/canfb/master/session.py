@@ -17,6 +17,7 @@ from canfb.master.samples import Listener, TrackSamples, listen, record
 from canfb.signal.chain_config import ChainLimits
 from canfb.signal.correction import Correction
 from canfb.signal.front_end import Corners
+from canfb.signal.limits import MOST_IN_A_ROW
 from canfb.signal.supervision import SampleLimits
 from canfb.view.module_view import (
     LIMIT_UNITS,
@@ -91,7 +92,7 @@ class SupervisionLimits:
 
     def chain_limits(self, interval_s: float) -> ChainLimits:
         """For a chain that gets all samples one by one, ``interval_s`` apart."""
-        bridged = min(self.settings.coast_samples * self.settings.samples_per_sync, 255)
+        bridged = min(self.settings.coast_samples * self.settings.samples_per_sync, MOST_IN_A_ROW)
         one_by_one = replace(self.settings, coast_samples=bridged, samples_per_sync=1)
         return one_by_one.chain_limits(interval_s, self.noise_cycles)
 

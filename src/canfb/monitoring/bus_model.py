@@ -108,7 +108,7 @@ class BusModel:
         *,
         only_known: bool = False,
     ) -> None:
-        self._assume, self._recognition = assume, Recognition()
+        self._assume, self._recognition = None if only_known else assume, Recognition()
         self._only_known = only_known
         self._bit_rate = bit_rate
         self._nodes: dict[int, NodeModel] = {}

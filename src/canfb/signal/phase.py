@@ -45,9 +45,14 @@ def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
     if np.iscomplexobj(values):
         raise ValueError(f"{name} must be real numbers, not complex ones")
     try:
-        return np.asarray(np.ma.filled(np.ma.asarray(values, np.float64), np.nan))
+        return np.asarray(_with_gaps(values), dtype=np.float64)
     except OverflowError:
         raise ValueError(f"{name} must be less than 1.8e308") from None
+
+
+def _with_gaps(values: npt.ArrayLike) -> npt.ArrayLike:
+    # NaN where an array is masked.
+    return np.ma.asarray(values, float).filled(np.nan) if np.ma.is_masked(values) else values
 
 
 def wrap(cycles: FloatArray) -> FloatArray:
@@ -173,8 +178,7 @@ def check_counts(sine: npt.NDArray[Any], cosine: npt.NDArray[Any], *, may_be_off
 
 def _numbers(name: str, track: npt.ArrayLike, kinds: str) -> npt.NDArray[Any]:
     try:
-        masked = np.ma.is_masked(track)
-        numbers = np.ma.asarray(track, float).filled(np.nan) if masked else np.asarray(track)
+        numbers = np.asarray(_with_gaps(track))
     except ValueError:
         raise ValueError(f"{name} must be an array of one dimension: its rows differ in length") from None
     if numbers.dtype.kind in kinds:
