@@ -296,8 +296,8 @@ class _Reader:
     def _plain(self, node: yaml.Node, what: str) -> Any:
         try:
             return construct(node)
-        except yaml.MarkedYAMLError as error:
-            raise self._fail(node, f"{what} cannot be read: {error.problem}") from None
+        except YamlError as error:
+            raise self._fail(node, f"{what} cannot be read: {error.said}") from None
 
 
 def _check_distinct_nodes(name: str, root: yaml.Node, config: Config) -> None:

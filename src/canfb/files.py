@@ -20,6 +20,15 @@ def read_bytes(path: Path, refuse: type[Exception]) -> bytes:
         raise refuse(f"{path}: cannot be read: {error.strerror}") from None
 
 
+def decoded(data: bytes) -> str:
+    """As text: UTF-8, UTF-16 with its mark, else Windows-1252, in which instruments write units."""
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError:
+        return data.decode("cp1252", "replace")
+
+
 def check_writable(path: Path, option: str = "") -> None:
     """ConfigError, with the ``option``, where no file can be."""
     name = f"{option} {path}".strip()

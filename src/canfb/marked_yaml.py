@@ -112,12 +112,15 @@ def _checked(node: yaml.Node, known: dict[int, int]) -> int:
 
 
 def construct(node: yaml.Node | None) -> Any:
-    """The value of a node that :func:`compose` gave. MarkedYAMLError."""
+    """The value of a node that :func:`compose` gave. YamlError."""
     if node is None:
         return None
     loader = _Loader("")
     try:
         return loader.construct_document(node)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        raise YamlError(mark.line + 1 if mark else 1, f"{error.problem}") from None
     finally:
         loader.dispose()
 
@@ -149,11 +152,7 @@ class MarkedYaml:
 
     def __init__(self, data: bytes) -> None:
         self._root = compose(data)
-        try:
-            self.content: Any = construct(self._root)
-        except yaml.MarkedYAMLError as error:
-            mark = error.problem_mark
-            raise YamlError(mark.line + 1 if mark else 1, f"{error.problem}") from None
+        self.content: Any = construct(self._root)
 
     def line(self, *keys: str) -> int:
         return found_at(self._root, *keys)[0]

@@ -38,6 +38,11 @@ class Result:
     lines: list[str]
 
 
+def listed(names: Sequence[str], most: int = 12) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
 def finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 

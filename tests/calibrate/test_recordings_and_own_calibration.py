@@ -11,9 +11,8 @@ import pytest
 from calibrating import calibrate, position_errors
 
 from canfb.cia301.frame import Frame
-from canfb.cli.calibrate import choices_of
 from canfb.cli.main import build_parser
-from canfb.cli.node_options import nodes_of
+from canfb.cli.node_options import measured_nodes
 from canfb.configuration import parse_config
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
@@ -179,7 +178,7 @@ def test_what_gives_no_samples_is_refused_within_three_seconds(
 def test_the_configuration_of_such_a_module_names_no_encoder_interface() -> None:
     config = parse_config("modules: [{node_id: 16, source: {kind: motion}}]")
     options = build_parser().parse_args(["calibrate"])
-    assert choices_of(options).nodes(nodes_of(config)) == (16, None)
+    assert measured_nodes(options, config) == (16, None)
 
 
 TIMING = SyncTiming(sync_jitter_us=20.0)

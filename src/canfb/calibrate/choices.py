@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from canfb.sources.recording_source import RecordingLayout, chosen_layout, open_
 from canfb.sources.sample_files import read_tracks
 
 PDO, RECORDING, MODULE, INTERFACE = "pdo", "recording", "module", "interface"
-DEFAULT_MODULE = 0x20
 MOST_RPM = 1e6
 RECORDED = "recorded"  # speeds: those that the files of samples have
 LEAST_SAMPLES, LEAST_FRESH = 8000, 1500
@@ -64,10 +62,8 @@ IDLE = (
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrateOptions:
-    """The options by their names; None: not given. :meth:`refuse_impossible` checks them."""
+    """The options by their names; None: not given. ConfigError for what cannot be."""
 
-    module: int | None = None
-    encoder_interface: int | None = None
     dry_run: bool = False
     check: bool = False
     out: Path | None = None
@@ -157,7 +153,7 @@ class CalibrateOptions:
     def _layout(self) -> RecordingLayout:
         return chosen_layout(self.columns, self.mid_scale, self.scale, self.time_column)
 
-    def refuse_impossible(self) -> None:
+    def __post_init__(self) -> None:
         _ = self._layout, self.speeds_rpm, self.delay_to_set
         if self.recorder != INTERFACE and self.samples_from != RECORDING:
             raise ConfigError("--recorder: only with --source recording")
@@ -170,19 +166,6 @@ class CalibrateOptions:
         if bits is None and limits is not None and limits.full_scale_counts.bit_count() == 1:
             bits = limits.full_scale_counts.bit_length()
         return Settings(self.method, "fit" if self.conditioning == "fit" else None, self.entries, bits)
-
-    def nodes(self, configured: Iterable[tuple[int, int | None]]) -> tuple[int, int | None]:
-        """Ids of module and encoder interface, None if the module determines it. ConfigError if both are one.
-
-        ``configured`` are those of the configuration, None for the interface of a module with a source.
-        """
-        matching = (one for one in configured if self.module in (None, one[0]))
-        first = next(matching, (DEFAULT_MODULE, None))
-        module = first[0] if self.module is None else self.module
-        interface = first[1] if self.encoder_interface is None else self.encoder_interface
-        if module == interface:
-            raise ConfigError(f"--encoder-interface {interface}: must differ from the node-ID of the module")
-        return module, interface
 
     def samples_of_file(self, path: Path) -> TrackSamples:
         """Samples of ``--samples``. CanfbError, with file and line, for a file that cannot be used."""

@@ -217,7 +217,9 @@ class Solver:
         fit = _again(fit, cleaned, TRIAL_ROUNDS)
         if cleaned.samples == blocks.samples:
             return fit
-        cleaned = reject(blocks.using(blocks.used & rows_used(cleaned)), fit, coarse=True)
+        cleaned = reject(
+            blocks.using(blocks.used & cleaned.used.any(axis=1, keepdims=True)), fit, coarse=True
+        )
         return _again(fit, cleaned, TRIAL_ROUNDS)
 
     def _more_orders(self, fit: JointFit) -> JointFit:
@@ -301,7 +303,7 @@ def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:
     floor = COARSE_CYCLES * float(np.median(fit.speed[use])) if coarse else 0.0
     telling = fit.informative
     if telling.sum() < MIN_BLOCKS:
-        telling = rows_used(blocks)[:, 0]
+        telling = np.asarray(use.any(axis=1), np.bool_)
     judges = use & telling[:, None]
     good: BoolArray = np.ones_like(use)
     for off in (fit.along, fit.across):
@@ -310,7 +312,3 @@ def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:
     size = np.sqrt(np.sum(np.where(use, fit.along**2, 0.0), axis=1) / np.maximum(1, use.sum(axis=1)))
     usual = max(float(np.median(size[telling])), QUANTISATION_COUNTS)
     return blocks.using(use & good & (size < max(REJECT_BLOCK * usual, floor))[:, None])
-
-
-def rows_used(blocks: Blocks) -> BoolArray:
-    return np.asarray(np.any(blocks.used, axis=1, keepdims=True), np.bool_)

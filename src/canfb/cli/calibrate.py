@@ -22,7 +22,7 @@ from canfb.calibrate.choices import (
     CalibrateOptions,
 )
 from canfb.calibrate.measurement import MOTION, ZERO_CROSSINGS
-from canfb.cli.node_options import nodes_of, say_result, sync_master
+from canfb.cli.node_options import measured_nodes, say_result, sync_master
 from canfb.cli.options import (
     BUS_WORDS,
     COLUMNS,
@@ -190,7 +190,7 @@ def calibrate(options: argparse.Namespace) -> int:
             return _said(
                 options, progress, date_and_time(), partial(CalibrationRun.from_file, path=choices.samples)
             )
-        choices.nodes(nodes_of(config))  # says what cannot be before there is a bus
+        measured_nodes(options, config)  # says what cannot be before there is a bus
         with sync_master(options, config) as (master, guard):
             return over_bus(master, options, config, progress, guard, date_and_time())
 
@@ -199,7 +199,7 @@ def over_bus(
     master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
 ) -> int:
     """On an open bus; the exit code. ``date``: ISO 8601, time behind a space."""
-    module, interface = choices_of(options).nodes(nodes_of(config))
+    module, interface = measured_nodes(options, config)
     return _said(options, progress, date, lambda run: run.over_bus(master, module, interface, guard))
 
 
@@ -221,5 +221,4 @@ def choices_of(options: argparse.Namespace) -> CalibrateOptions:
     choices = CalibrateOptions(**{name: getattr(options, name) for name in names})
     if choices.samples is not None and choices.samples.suffix.lower() == ".npz":
         refuse_idle(options, OF_CSV, f"only for CSV, not for {choices.samples.name}")
-    choices.refuse_impossible()
     return choices

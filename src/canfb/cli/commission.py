@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
-from canfb.calibrate.choices import CalibrateOptions
-from canfb.cli.node_options import nodes_of, say_result, sync_master
+from canfb.cli.node_options import measured_nodes, say_result, sync_master
 from canfb.cli.options import (
     JSON,
     MEASURED_NODES,
@@ -91,7 +90,7 @@ def commission(options: argparse.Namespace) -> int:
     wishes, config = wishes_of(options), named_config(options)
     if wishes.out:
         prepare_folder(wishes.out)
-    nodes_of_choices(options, config)  # says what cannot be before there is a bus
+    measured_nodes(options, config)  # says what cannot be before there is a bus
     as_before = "limits that were not proven are as they were"
     with (
         shown_progress(quiet=options.json, interrupted=as_before) as progress,
@@ -103,13 +102,8 @@ def commission(options: argparse.Namespace) -> int:
 def over_bus(
     master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
 ) -> int:
-    nodes = nodes_of_choices(options, config)
+    nodes = measured_nodes(options, config)
     return say_result(options, run(master, *nodes, wishes_of(options), guard, progress, date))
-
-
-def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
-    choices = CalibrateOptions(module=options.module, encoder_interface=options.encoder_interface)
-    return choices.nodes(nodes_of(config))
 
 
 def wishes_of(options: argparse.Namespace) -> CommissionOptions:

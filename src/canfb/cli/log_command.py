@@ -10,7 +10,7 @@ from pathlib import Path
 
 from canfb.bus.opening import describe, open_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.node_options import CONFIG, say_result
+from canfb.cli.node_options import CONFIG, DEFAULT_MODULE, say_result
 from canfb.cli.options import (
     JSON,
     READY_FILE,
@@ -36,22 +36,13 @@ from canfb.errors import ConfigError
 from canfb.files import check_writable
 from canfb.hosting.readiness import Readiness
 from canfb.logfile.bus_logs import BusLog, replacing_log
-from canfb.logs.log_replay import (
-    ReplayOptions,
-    check_table,
-    do_work,
-    published,
-    replay_log,
-    work_of,
-    write_page,
-)
+from canfb.logs.log_replay import ReplayOptions, do_work, published, replay_log, work_of, write_page
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.findings import KINDS, Block, Overview
 from canfb.replay.module_replay import Begin
 from canfb.rows import Result, as_figures, as_lines, those
 from canfb.sdo.tables import read_table
 
-DEFAULT_MODULE = 0x20
 OF_A_FILE = ("frames", "report", "json"), "is for one log, not for a folder"
 OF_A_FOLDER = ("workers",), "is for a folder of logs"
 
@@ -217,10 +208,9 @@ def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
 
 
 def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
-    out = None if options.out is None else check_table(options.out)
-    jobs, done = work_of(options.log, settings, out)
+    jobs, done = work_of(options.log, settings, options.out)
     progress.step(f"{len(jobs)} logs to replay, {len({row['log'] for row in done})} are done")
-    rows = do_work(jobs, done, settings, out, options.workers, progress=progress.part)
+    rows = do_work(jobs, done, settings, options.out, options.workers, progress=progress.part)
     progress.clear()
     lines: list[str] = []
     for row in rows:
@@ -228,7 +218,7 @@ def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Prog
         faults = ", ".join(f"{kind} {row[kind]}" for kind in KINDS if row[kind]) or "no faults"
         lines += those(
             (error is not None, f"not done  {name}: {error}"),
-            (error is None and out is None, f"{name}: {row['samples']} samples, {faults}"),
+            (error is None and options.out is None, f"{name}: {row['samples']} samples, {faults}"),
             (row["trouble"], f"damaged   {row['trouble']}"),
             (row["left_out"], f"left out  {name}: {row['left_out']} frames with its CAN-IDs (--channel)"),
         )
@@ -236,5 +226,5 @@ def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Prog
     lines.append(
         f"{len(rows)} rows, {samples} samples; {sum(row['error'] is not None for row in rows)} not done"
     )
-    print("\n".join([*lines, *those((out, f"written  {out}"))]))
+    print("\n".join([*lines, *those((options.out, f"written  {options.out}"))]))
     return int(any(row["trouble"] or row["error"] for row in rows))

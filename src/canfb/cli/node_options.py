@@ -15,12 +15,13 @@ from canfb.cli.options import JSON, TIMEOUT, add_bus_options, bus_options, chose
 from canfb.cli.printing import shown_progress
 from canfb.configuration import Config
 from canfb.errors import ConfigError
-from canfb.master.access import subscribed
+from canfb.master.access import received
 from canfb.master.all_or_nothing import Guard
 from canfb.rows import Result
 
 NODE = option("node", metavar="NODE", type=node_number, help="node-ID such as 32 or 0x20")
 CONFIG = option("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
+DEFAULT_MODULE = 0x20
 ACCESS = JSON, CONFIG, TIMEOUT, add_bus_options
 
 
@@ -36,8 +37,7 @@ def sync_master(options: argparse.Namespace, config: Config) -> Iterator[tuple[B
     guard = Guard()
     with BusMaster(bus, options.timeout) as master, ending_on_signals(guard.interrupt):
         if options.rate is not None:
-            heard: list[object] = []
-            with subscribed(master, [(cob.SYNC, lambda *frame: heard.append(frame))]):
+            with received(master, cob.SYNC) as heard:
                 master.wait(0.3)  # a SYNC of 5 Hz or more
             if heard:
                 raise ConfigError("--rate: another node sends SYNC already; leave --rate out")
@@ -58,8 +58,13 @@ def say_result(options: argparse.Namespace, result: Result) -> int:
     return 0
 
 
-def nodes_of(config: Config) -> list[tuple[int, int | None]]:
-    """Module and encoder interface of each; None: it samples itself."""
-    return [
-        (one.node_id, None if one.source is not None else one.encoder_interface) for one in config.modules
-    ]
+def measured_nodes(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
+    """Ids of module and encoder interface, None if the module determines it. ConfigError if both are one."""
+    known = [(one.node_id, None if one.source else one.encoder_interface) for one in config.modules]
+    matching = (one for one in known if options.module in (None, one[0]))
+    module, interface = next(matching, (DEFAULT_MODULE, None))
+    module = module if options.module is None else options.module
+    interface = interface if options.encoder_interface is None else options.encoder_interface
+    if module == interface:
+        raise ConfigError(f"--encoder-interface {interface}: must differ from the node-ID of the module")
+    return module, interface

@@ -210,16 +210,15 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
 
 
 def chosen_bus(options: argparse.Namespace) -> dict[str, Any]:
-    from canfb.configuration import ANY_NODES, load_config
+    from canfb.configuration import ANY_NODES
 
-    config = options.config
-    return bus_options(options, {} if config is None else load_config(config, ANY_NODES).bus)
+    return bus_options(options, named_config(options, ANY_NODES).bus)
 
 
-def named_config(options: argparse.Namespace) -> Config:
+def named_config(options: argparse.Namespace, *needs: Sequence[str]) -> Config:
     from canfb.configuration import Config, load_config
 
-    return load_config(options.config) if options.config is not None else Config()
+    return load_config(options.config, *needs) if options.config is not None else Config()
 
 
 T = TypeVar("T")

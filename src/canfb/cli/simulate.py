@@ -34,7 +34,7 @@ from canfb.master.samples import TrackSamples, write_csv, write_npz
 from canfb.module.module_config import ModuleConfig
 from canfb.simulation.scenario import PACES, SimulationConfig
 from canfb.simulation.set_up import Play, SampleRecorder
-from canfb.sources.recording_source import RecordingLayout, chosen_layout
+from canfb.sources.recording_source import chosen_layout
 
 TIMES = ("time_column", "gap", "gap_samples")
 WRITERS = {".csv": write_csv, ".npz": write_npz}
@@ -143,19 +143,15 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
             simulation = replace(simulation, motion=replace(simulation.motion, rpm=options.rpm))
         except ValueError as error:
             raise ConfigError(f"--rpm {options.rpm:g}: {error}") from None
+    layout = chosen_layout(options.columns, options.mid_scale, options.scale, options.time_column)
     play = Play(
         rate_hz=options.rate,
         autostart=options.autostart,
         recorded=options.record is not None or options.seconds is not None,
         file=options.samples,
-        layout=_layout(options),
+        layout=replace(layout, gap_s=options.gap, gap_samples=options.gap_samples),
     )
     return replace(simulation, pace=options.pace or simulation.pace), module, play
-
-
-def _layout(options: argparse.Namespace) -> RecordingLayout:
-    layout = chosen_layout(options.columns, options.mid_scale, options.scale, options.time_column)
-    return replace(layout, gap_s=options.gap, gap_samples=options.gap_samples)
 
 
 def check_record(name: str, samples: str | None = None) -> Path:

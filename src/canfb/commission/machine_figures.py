@@ -89,7 +89,7 @@ def motion_figures(samples: SupervisedSamples) -> MotionFigures:
     position = samples.position[samples.valid]
     moves = np.abs(speed) >= MOVING_CYCLES
     noise = _noise(acceleration, np.where(moves, np.abs(speed), np.nan)[1:])
-    slow = _known(_averaged(speed, _bell(8)))  # a speed between two samples is mostly noise
+    slow = _known(np.convolve(speed, _bell(8), "valid"))  # a speed between two samples is mostly noise
     slow = slow if len(slow) else _known(speed)
     return MotionFigures(
         slowest=float(slow.min()),
@@ -136,7 +136,7 @@ def _errors(position: FloatArray) -> FloatArray:
 def smooth_acceleration(residual: FloatArray) -> FloatArray:
     """Second differences averaged until their noise is a tenth; NaN where not known."""
     unknown = np.full(SMOOTHED - 1, np.nan)
-    return np.concatenate([unknown, _averaged(residual, _bell(SMOOTHED)), unknown])
+    return np.concatenate([unknown, np.convolve(residual, _bell(SMOOTHED), "valid"), unknown])
 
 
 def _noise(acceleration: FloatArray, speed: FloatArray) -> float:
@@ -152,7 +152,7 @@ def _largest(values: FloatArray, noise: float, difference: FloatArray) -> float:
     most = 0.0
     for half in HALVES:
         bell = _bell(half)
-        averaged = _known(_averaged(values, bell))
+        averaged = _known(np.convolve(values, bell, "valid"))
         if len(averaged) < len(bell):
             break
         sigmas = math.sqrt(2.0 * math.log(len(averaged) + 1.0))  # the largest of this many
@@ -163,10 +163,6 @@ def _largest(values: FloatArray, noise: float, difference: FloatArray) -> float:
 
 def _known(values: FloatArray) -> FloatArray:
     return values[np.isfinite(values)]
-
-
-def _averaged(values: FloatArray, bell: FloatArray) -> FloatArray:
-    return np.asarray(np.convolve(values, bell, "valid"), np.float64)
 
 
 def _bell(half: int) -> FloatArray:

@@ -30,7 +30,8 @@ import can
 from can.io import MESSAGE_READERS, MESSAGE_WRITERS
 
 from canfb.errors import CanfbError, ConfigError
-from canfb.rows import Row, those
+from canfb.files import decoded
+from canfb.rows import Row, listed, those
 
 GZIP = ".gz"
 # python-can's binary writers seek back to their header, which gzip cannot; asammdf reads files only.
@@ -147,7 +148,7 @@ class LogCounters:
 
     def _channels(self) -> list[str]:
         number = sum(one.total() for one in self.left_out.values())
-        left_out, taken = _names(self.left_out), _names(self.channels)
+        left_out, taken = (listed(sorted(one), MOST_CHANNELS) for one in (self.left_out, self.channels))
         return those(
             (
                 left_out,
@@ -160,12 +161,7 @@ class LogCounters:
         )
 
 
-def _names(channels: Collection[str]) -> str:
-    names = sorted(channels)
-    more = len(names) - 6
-    return ", ".join([*names[:6], *[f"and {more} more"] * (more > 0)])
-
-
+MOST_CHANNELS = 6  # that are listed
 LONGEST_LINE = 1 << 16  # bytes
 BLOCK_LINES = 256
 BLF_OBJECT, BLF_OBJECT_PLACES = b"LOBJ", 8  # an object begins in the first 4 bytes behind the one before
@@ -219,7 +215,7 @@ class _Lines:
         try:
             while data := self._file.readline(LONGEST_LINE):
                 self._number += 1
-                line = _decoded(data)
+                line = decoded(data)
                 kept = self.kept(line)
                 if kept is not None:
                     yield self._number, kept
@@ -252,14 +248,6 @@ class _Lines:
 
     def is_cut_in_byte(self, line: str, length: int) -> bool:
         return len(line.rsplit(None, 1)[-1]) == 1
-
-
-def _decoded(line: bytes) -> str:
-    try:
-        text = str(line, "utf-8")
-    except UnicodeDecodeError:
-        text = str(line, "cp1252", "replace")
-    return text.lstrip("\ufeff")
 
 
 class _AscLines(_Lines):

@@ -97,11 +97,6 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], types: Mapping[str
     parquet.write_table(arrow.Table.from_pylist([dict(row) for row in rows], schema=schema), str(path))
 
 
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    _, parquet = _pyarrow()
-    return list(parquet.read_table(str(path)).to_pylist())
-
-
 @contextlib.contextmanager
 def published(path: Path) -> Iterator[Take]:
     """What takes the blocks of samples; the file is there when it is whole.
@@ -389,18 +384,16 @@ def _row(job: LogJob, log: BusLogFile, figures: dict[str, Any]) -> LogRow:
     return {name: row[name] if name in row else figures[name] for name in COLUMNS}
 
 
-def check_table(out: Path) -> Path:
-    if out.suffix.lower() != ".parquet":
-        raise ConfigError("--out: a folder of logs needs a table, such as --out month.parquet")
-    check_writable(out, "--out")
-    return out
-
-
 def work_of(folder: Path, settings: ReplayOptions, out: Path | None) -> tuple[list[LogJob], list[LogRow]]:
     """The logs below ``folder`` that are to do, and the rows of the table ``out`` of the others.
 
-    CanfbError for a folder without logs, and for a table that cannot be read.
+    ConfigError for what can be no table; CanfbError for a folder without logs, and for a table that cannot be
+    read.
     """
+    if out is not None:
+        if out.suffix.lower() != ".parquet":
+            raise ConfigError("--out: a folder of logs needs a table, such as --out month.parquet")
+        check_writable(out, "--out")
     paths = sorted(path for path in folder.rglob("*") if path.is_file() and is_log(path))
     if not paths:
         raise CanfbError(f"{folder}: there is no bus log in this folder")
@@ -444,7 +437,7 @@ def _table(out: Path) -> list[LogRow]:
     if not out.exists():
         return []
     try:
-        rows = read_rows(out)
+        rows: list[LogRow] = _pyarrow()[1].read_table(str(out)).to_pylist()
     except (OSError, ValueError) as error:  # pyarrow's errors are of these kinds
         raise CanfbError(f"--out {out}: is there already, and is no table: {reason(error)}") from None
     if rows and not COLUMNS.keys() <= rows[0].keys():

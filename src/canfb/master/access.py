@@ -150,6 +150,14 @@ def subscribed(master: Master, callbacks: Iterable[tuple[int, OnFrame]]) -> Iter
         yield
 
 
+@contextlib.contextmanager
+def received(master: Master, can_id: int) -> Iterator[list[bytes]]:
+    """The data of each frame with this CAN-ID that comes meanwhile."""
+    frames: list[bytes] = []
+    with subscribed(master, [(can_id, lambda can_id, data, at: frames.append(bytes(data)))]):
+        yield frames
+
+
 class NodeAccess:
     """Objects of one node by SDO. CommissioningError for what fails."""
 
@@ -286,16 +294,16 @@ def state_in(data: bytes) -> NmtState | None:
 def nmt_state(node: NodeAccess) -> NmtState:
     """By heartbeat (1017h), guarding (100Ch) or a remote frame; CommissioningError if not known."""
     heartbeat_s = node.integer(*HEARTBEAT_TIME, "H") / 1000
-    with _received(node) as received:
+    with received(node.master, cob.ERROR_CONTROL + node.node_id) as heard:
         if heartbeat_s:
-            _wait_until(node.master, LATE * heartbeat_s, lambda: received)
+            _wait_until(node.master, LATE * heartbeat_s, lambda: heard)
         else:
-            _wait_until(node.master, LATE * node.integer(*GUARD_TIME, "H") / 1000, lambda: received)
+            _wait_until(node.master, LATE * node.integer(*GUARD_TIME, "H") / 1000, lambda: heard)
             for _ in range(ASKED):
-                if not received:
+                if not heard:
                     node.master.send(cob.ERROR_CONTROL + node.node_id, b"", remote=True)
-                    _wait_until(node.master, ANSWER_S, lambda: received)
-    states = [state for data in received if (state := state_in(data)) is not None]
+                    _wait_until(node.master, ANSWER_S, lambda: heard)
+    states = [state for data in heard if (state := state_in(data)) is not None]
     if states:
         return states[-1]
     raise CommissioningError(
@@ -307,21 +315,10 @@ def nmt_state(node: NodeAccess) -> NmtState:
 @contextlib.contextmanager
 def without_restart(node: NodeAccess) -> Iterator[None]:
     """CommissioningError at the end after a restart."""
-    with _received(node) as received:
+    with received(node.master, cob.ERROR_CONTROL + node.node_id) as heard:
         yield
-    if cob.BOOT_UP in received:
+    if cob.BOOT_UP in heard:
         raise CommissioningError(f"{node.name} was restarted meanwhile (boot-up heard)")
-
-
-@contextlib.contextmanager
-def _received(node: NodeAccess) -> Iterator[list[bytes]]:
-    received: list[bytes] = []
-
-    def on_frame(can_id: int, data: bytes, at: float) -> None:
-        received.append(bytes(data))
-
-    with subscribed(node.master, [(cob.ERROR_CONTROL + node.node_id, on_frame)]):
-        yield received
 
 
 def _wait_until(master: Master, within_s: float, holds: Callable[[], object]) -> bool:
@@ -454,9 +451,9 @@ def reset_module(
 
 def _restart(module: NodeAccess, command: NmtCommand) -> None:
     master, node = module.master, module.node_id
-    with _received(module) as received:
+    with received(master, cob.ERROR_CONTROL + node) as heard:
         master.send(cob.NMT, struct.pack("BB", command, node))
-        started = _wait_until(master, BOOT_UP_S, lambda: cob.BOOT_UP in received)
+        started = _wait_until(master, BOOT_UP_S, lambda: cob.BOOT_UP in heard)
     if not started:
         raise CommissioningError(f"{module.name}: no boot-up within {BOOT_UP_S:g} s after the reset")
     master.send(cob.NMT, struct.pack("BB", NmtCommand.START, node))

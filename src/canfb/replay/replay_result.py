@@ -141,15 +141,16 @@ class ReplayResult:
             Row(MARGINS[name][0], self._margin(one, *MARGINS[name][1:]))
             for name, one in replay.margins.nearest.items()
         ]
-        known = (
-            {f"{key}_cycles": finite(getattr(drift, key)) for key in ("rms", "peak", "uncertainty_rms")}
-            if drift
-            else {}
-        )
         moved = Row(
             "drift from the table",
             None if drift is None else _drift_words(drift),
-            drift=drift and known | {"reason": drift.reason},
+            drift=drift
+            and {
+                "rms_cycles": finite(drift.rms),
+                "peak_cycles": finite(drift.peak),
+                "uncertainty_rms_cycles": finite(drift.uncertainty_rms),
+                "reason": drift.reason,
+            },
         )
         odd = (
             ("restarts", "restarts", replay.restarts, "power-ups of the recorded module within the log"),

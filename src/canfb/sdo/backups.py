@@ -21,8 +21,8 @@ from canfb.files import read_bytes
 from canfb.marked_yaml import MarkedYaml
 from canfb.master.access import CommissioningError, NodeAccess, nmt_state
 from canfb.master.all_or_nothing import Guard, change, check_can_save, check_unlocked
-from canfb.rows import Result, those
-from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, listed, numbered
+from canfb.rows import Result, listed, those
+from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, numbered
 from canfb.sdo.sdo_tasks import check_value, short_real
 from canfb.sdo.tables import check_keys, table_in, wrong
 from canfb.signal.correction import CorrectionTable

@@ -16,9 +16,9 @@ from canfb.device.od import eds
 from canfb.errors import ConfigError
 from canfb.files import read_bytes
 from canfb.master.access import CommissioningError
+from canfb.rows import listed
 
 Place = tuple[int, int]
-MOST_LISTED = 12
 LONGEST_NAME = 80  # in a message
 EXPEDITED = 4  # Bytes of an SDO answer in one frame (CiA 301, 7.2.4.3.3).
 _COMMUNICATION = range(0x1000, 0x2000)
@@ -149,11 +149,6 @@ def numbered(text: str) -> tuple[int, int | None] | None:
 
 def _words(text: str) -> str:
     return " ".join(re.findall(r"[a-z0-9]+", text.lower()))
-
-
-def listed(names: list[str], most: int = MOST_LISTED) -> str:
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
 
 
 @lru_cache(maxsize=8)

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.checks import integer_in
+from canfb.signal.phase import pair_of_tracks
 
 Counts = npt.NDArray[np.int64]
 # Sine and cosine while the fault is present, before the converter, shape (2, n).
@@ -52,9 +53,7 @@ class Samples:
     def of(cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, adc_bits: int = 12) -> Self:
         """Samples that were all delivered. ValueError for two shapes, or ``adc_bits`` not 4..16."""
         integer_in("adc_bits", adc_bits, 4, 16)
-        s, c = np.asarray(sine, dtype=np.int64), np.asarray(cosine, dtype=np.int64)
-        if s.ndim != 1 or s.shape != c.shape:
-            raise ValueError(f"sine and cosine must be of one length: {s.shape} and {c.shape}")
+        s, c = (np.asarray(one, dtype=np.int64) for one in pair_of_tracks(sine, cosine))
         return cls(s, c, np.ones(s.shape, dtype=np.bool_), 1 << (adc_bits - 1))
 
     def __len__(self) -> int:

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.errors import CanfbError
-from canfb.files import read_bytes
+from canfb.files import decoded, read_bytes
 from canfb.objects import MISSED_COUNTS
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import FloatArray, pair_of_tracks
 
 SEPARATORS = "\t;,"  # in this order: a name or a number may hold a comma
 SEPARATOR_LINE = re.compile(r"sep=(.)\s*")
@@ -69,13 +69,7 @@ def read_columns(path: Path, names: Sequence[str]) -> Columns:
 
 
 def _text(path: Path) -> str:
-    """The file as text: UTF-8, UTF-16 with its mark, else Windows-1252, in which instruments write units."""
-    data = read_bytes(path, CanfbError)
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    try:
-        text = data.decode(encoding)
-    except UnicodeDecodeError:
-        text = data.decode("cp1252", "replace")
+    text = decoded(read_bytes(path, CanfbError))
     if "\0" in text:
         raise CanfbError(f"{path}: this is not a text file with columns")
     return text
@@ -120,9 +114,7 @@ class Tracks(NamedTuple):
 
 def with_gaps(sine: npt.ArrayLike, cosine: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Counts as floats, pairs of -32768 as NaN. ValueError for arrays of different length."""
-    s, c = np.array(sine, np.float64), np.array(cosine, np.float64)
-    if s.ndim != 1 or s.shape != c.shape:
-        raise ValueError(f"sine and cosine must have one dimension and one length: {s.shape}, {c.shape}")
+    s, c = (np.array(one, np.float64) for one in pair_of_tracks(sine, cosine, may_be_offset=True))
     missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS) | np.isnan(s) | np.isnan(c)
     s[missed] = c[missed] = np.nan
     return s, c

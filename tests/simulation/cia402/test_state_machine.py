@@ -13,7 +13,7 @@ from drive_bench import DRIVE_ID, UNITS, DriveBench, cruising
 from canfb.module.module_config import ModuleConfig
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant
-from canfb.simulation.cia402.state_machine import Command, State, StateMachine, command_of
+from canfb.simulation.cia402.state_machine import Command, State, StateMachine
 from folding import each
 
 # State x command as the figure of the standard has it, restated: the state after it, "." for the same.
@@ -64,7 +64,7 @@ WITHOUT_VOLTAGE = [(Command.DISABLE_VOLTAGE, word) for word in (0x01, 0x04, 0x05
 @each("command, word", CONTROLWORDS + WITHOUT_VOLTAGE)
 @each("extra", [0x00, 0x10, 0x40, 0x100, 0x7F00, 0x8000])
 def test_bits_of_the_mode_do_not_change_the_command(command: Command, word: int, extra: int) -> None:
-    assert command_of(word | extra) is command
+    assert StateMachine().command(word | extra) is command
 
 
 @pytest.mark.parametrize("state", State)

@@ -36,7 +36,6 @@ class Status(IntFlag):
     """Bits of the statusword 6041h beside those of the state."""
 
     VOLTAGE_ENABLED = 0x0010
-    WARNING = 0x0080
     REMOTE = 0x0200
     INTERNAL_LIMIT = 0x0800
     FOLLOWS_TARGET = 0x1000
@@ -93,14 +92,6 @@ COMMANDS = {
 }
 
 
-def command_of(controlword: int, before: int = 0) -> Command:
-    """What a controlword asks for, given the one ``before`` it: a fault reset is a rising edge of bit 7."""
-    if controlword & Control.FAULT_RESET:
-        return Command.NONE if before & Control.FAULT_RESET else Command.FAULT_RESET
-    missing = (command for bit, command in COMMANDS.items() if not controlword & bit)
-    return next(missing, Command.ENABLE_OPERATION)
-
-
 class StateMachine:
     """The state of the drive, and the last controlword, for the edge of a fault reset."""
 
@@ -109,8 +100,12 @@ class StateMachine:
         self._controlword = 0
 
     def command(self, controlword: int) -> Command:
+        """What a controlword asks for: a fault reset is a rising edge of bit 7."""
         before, self._controlword = self._controlword, controlword
-        return command_of(controlword, before)
+        if controlword & Control.FAULT_RESET:
+            return Command.NONE if before & Control.FAULT_RESET else Command.FAULT_RESET
+        missing = (command for bit, command in COMMANDS.items() if not controlword & bit)
+        return next(missing, Command.ENABLE_OPERATION)
 
     def go(self, command: Command) -> bool:
         before, self.state = self.state, TRANSITIONS.get((self.state, command), self.state)
