@@ -16,6 +16,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.simulation.encoder import Ramp, Ripple
 from canfb.simulation.scenario import HarmonicConfig
 from drawing import examples
+from folding import each
 
 # The YAML of section 3 of the design, as it stands there.
 DESIGN = """\
@@ -92,9 +93,7 @@ def test_what_is_left_out_has_its_default() -> None:
     assert config.simulation.motion.motion().ripples == ()
 
 
-@pytest.mark.parametrize(
-    ("value", "number"), [("1e6", 1e6), ("1E+6", 1e6), ("1.5e6", 1.5e6), ("1.e-3", 1e-3), ("-2e0", -2.0)]
-)
+@each("value, number", [("1e6", 1e6), ("1E+6", 1e6), ("1.5e6", 1.5e6), ("1.e-3", 1e-3), ("-2e0", -2.0)])
 def test_numbers_with_an_exponent_are_numbers(value: str, number: float) -> None:
     assert parse_config(f"modules: [{{node_id: 5}}]\nbus: {{bitrate: {value}}}").bus["bitrate"] == number
 

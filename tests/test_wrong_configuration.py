@@ -34,16 +34,13 @@ WRONG = {
     "modules:\n- node_id: 3\n- 4\n": "3: modules[1] must be a mapping of keys to values",
     "modules:\n- adc_bits: 12\n": "2: 'node_id' is missing in modules[0]",
     MODULE + "  adc_bit: 12\n": "3: unknown key 'adc_bit' in modules[0]; did you mean 'adc_bits'?",
-    BRIEF + "realtime: {speed: 3}\n": (
-        "2: unknown key 'speed' in realtime; known: priority, lock_memory, cpu, busy_poll"
-    ),
+    BRIEF + "realtime: {speed: 3}\n":
+        "2: unknown key 'speed' in realtime; known: priority, lock_memory, cpu, busy_poll",
     "module: []\n": "1: unknown key 'module' in the configuration; did you mean 'modules'?",
-    MODULE + "  conditioning:\n    sine_gian: 1\n": (
-        "4: unknown key 'sine_gian' in conditioning; did you mean 'sine_gain'?"
-    ),
-    "simulation:\n  encoder:\n    harmonics:\n    - {order: 2}\n    - {ordre: 2}\n": (
-        "5: unknown key 'ordre' in harmonics[1]; did you mean 'order'?"
-    ),
+    MODULE + "  conditioning:\n    sine_gian: 1\n":
+        "4: unknown key 'sine_gian' in conditioning; did you mean 'sine_gain'?",
+    "simulation:\n  encoder:\n    harmonics:\n    - {order: 2}\n    - {ordre: 2}\n":
+        "5: unknown key 'ordre' in harmonics[1]; did you mean 'order'?",
     MODULE + "  adc_bits: 12\n  node_id: 4\n": "4: key 'node_id' is there already, in line 2",
     "bus: {}\nbus: {}\n": "2: key 'bus' is there already, in line 1",
     "modules:\n- node_id: three\n": "2: modules[0]: node_id must be a whole number 1..127, not 'three'",
@@ -56,23 +53,20 @@ WRONG = {
     MODULE + "  conditioning: {sine_gain: yes}\n": "3: sine_gain must be a finite number, not True",
     MODULE + "  autostart: 1\n": "3: autostart must be true or false, not 1",
     MODULE + "  state_dir: 4\n": "3: state_dir must be the name of a folder",
-    MODULE + "  samples_per_sync: 2\n  source: {kind: iio, device: x, scans_per_sync: 5}\n": (
-        "3: modules[0]: samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not 5"
-    ),
+    MODULE + "  samples_per_sync: 2\n  source: {kind: iio, device: x, scans_per_sync: 5}\n":
+        "3: modules[0]: samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not 5",
     MODULE + "  adapt: 3\n": "3: modules[0]: adapt must be true, false or a mapping with its bounds, not 3",
     MODULE + "  adapt: {offset: 0.3}\n": "3: adapt: offset must be a number 0..0.25, not 0.3",
     MODULE + "  adapt: {gain: yes}\n": "3: adapt: gain must be a number 0..0.5, not True",
-    MODULE + "  adapt: {rate: 1}\n": (
-        "3: unknown key 'rate' in adapt; known: offset, gain, phase_rad, rate_per_hour"
-    ),
+    MODULE + "  adapt: {rate: 1}\n":
+        "3: unknown key 'rate' in adapt; known: offset, gain, phase_rad, rate_per_hour",
     MODULE + "  adapt: [1]\n": "3: adapt must be a mapping",
     SECOND + "cob_id: 0x180}\n": "3: second_position: cob_id must be a whole number 385..1407, not 384",
     SECOND + "cob_id: 0x600}\n": "3: second_position: cob_id must be",
     SECOND + "before_bytes: 5}\n": "3: second_position: before_bytes must be a whole number 0..4, not 5",
     SECOND + "after_bytes: -1}\n": "3: second_position: after_bytes must be",
-    SECOND + "cob_id: 0x1B0}\n  times: true\n  samples_per_sync: 7\n": (
-        "3: modules[0]: second_position: no RPDO is left for cob_id"
-    ),
+    SECOND + "cob_id: 0x1B0}\n  times: true\n  samples_per_sync: 7\n":
+        "3: modules[0]: second_position: no RPDO is left for cob_id",
     MODULE + "  write_lock: on\n": "3: modules[0]: write_lock must be none, preop or code, not True",
     MODULE + "  write_lock: code\n": "3: modules[0]: write_lock: code needs an unlock_code",
     MODULE + "  unlock_code: -1\n": "3: modules[0]: unlock_code must be a whole number 0..4294967295, not -1",
@@ -86,25 +80,19 @@ WRONG = {
     MODULE + "  nominal_sync: 2\n": "3: nominal_sync must be",
     MODULE + "  predict: 3\n": "3: predict must be false",
     MODULE + "  samples_per_sync: 9\n": "3: samples_per_sync must be a whole number 1..8, not 9",
-    MODULE + "  times: true\n  samples_per_sync: 8\n": (
-        "4: samples_per_sync must be a whole number 1..7, not 8"
-    ),
-    MODULE + "  conditioning:\n    sine_gain: 1\n    cosine_gain: 0\n": (
-        "5: cosine_gain is out of range: its size must be 0.001 to 1000"
-    ),
-    "simulation:\n  encoder:\n    amplitude: 1\n    sine_amplitude: 1\n    cosine_amplitude: 3\n": (
-        "5: cosine_amplitude must be a number 0..2, not 3"
-    ),
-    MODULE + "  adc_bits: 8\n  amplitude_low_counts: 200\n": (
-        "4: amplitude_low_counts must be below amplitude_high_counts"
-    ),
+    MODULE + "  times: true\n  samples_per_sync: 8\n":
+        "4: samples_per_sync must be a whole number 1..7, not 8",
+    MODULE + "  conditioning:\n    sine_gain: 1\n    cosine_gain: 0\n":
+        "5: cosine_gain is out of range: its size must be 0.001 to 1000",
+    "simulation:\n  encoder:\n    amplitude: 1\n    sine_amplitude: 1\n    cosine_amplitude: 3\n":
+        "5: cosine_amplitude must be a number 0..2, not 3",
+    MODULE + "  adc_bits: 8\n  amplitude_low_counts: 200\n":
+        "4: amplitude_low_counts must be below amplitude_high_counts",
     "modules:\n- node_id: 16\n": "2: encoder_interface must differ from",
-    "modules:\n- node_id: 3\n- node_id: 4\n  encoder_interface: 9\n- node_id: 0x3\n": (
-        "5: node_id 3 of modules[2] is also that of modules[0]"
-    ),
-    MODULE + "  encoder_interface: 4\n- node_id: 4\n": (
-        "2: encoder_interface 4 of modules[0] is the node_id of modules[1]"
-    ),
+    "modules:\n- node_id: 3\n- node_id: 4\n  encoder_interface: 9\n- node_id: 0x3\n":
+        "5: node_id 3 of modules[2] is also that of modules[0]",
+    MODULE + "  encoder_interface: 4\n- node_id: 4\n":
+        "2: encoder_interface 4 of modules[0] is the node_id of modules[1]",
     BRIEF + "bus: [socketcan]\n": "2: 'bus' must be a mapping of python-can's",
     BRIEF + "bus:\n": "2: 'bus' must be a mapping of python-can's parameters",
     BRIEF + "realtime: {priority: 100}\n": "2: priority must be a whole number 0..99",
@@ -112,12 +100,10 @@ WRONG = {
     BRIEF + "realtime: {lock_memory: 1}\n": "2: lock_memory must be true or",
     BRIEF + "realtime: {cpu: -1}\n": "2: cpu must be a whole number 0..",
     BRIEF + "realtime: {cpu: 0, busy_poll: 1}\n": "2: busy_poll",
-    BRIEF + "realtime: {busy_poll: true}\n": (
-        "2: busy_poll needs a processor of its own: set cpu, for example cpu: 3"
-    ),
-    BRIEF + "realtime: {cpu: 0, priority: 1, busy_poll: true}\n": (
-        "2: busy_poll: omit priority; the kernel halts a program with priority that never sleeps"
-    ),
+    BRIEF + "realtime: {busy_poll: true}\n":
+        "2: busy_poll needs a processor of its own: set cpu, for example cpu: 3",
+    BRIEF + "realtime: {cpu: 0, priority: 1, busy_poll: true}\n":
+        "2: busy_poll: omit priority; the kernel halts a program with priority that never sleeps",
     BRIEF + "realtime: {cpu: no}\n": "2: cpu must be a whole number 0..",
     BRIEF + "simulation: {seed: true}\n": "2: seed must be a whole number",
     "simulation:\n  encoder: {harmonics: [{order: 1}]}\n": "2: order must be a whole number 2..50",
@@ -142,14 +128,12 @@ WRONG = {
     "modules: *m\n": "1: this is not YAML: found undefined alias 'm'",
     "modules:\n- <<: {adc_bits: 12}\n  node_id: 3\n": "2: unknown key '<<' in modules[0]",
     "modules: &m\n- *m\n": "3: the file stands for more than 100000 values",
-    "modules:\n- !!python/object:os.system {node_id: 3}\n": (
-        "2: modules[0] has the tag 'tag:yaml.org,2002:python/object:os.system'; a configuration needs none"
-    ),
+    "modules:\n- !!python/object:os.system {node_id: 3}\n":
+        "2: modules[0] has the tag 'tag:yaml.org,2002:python/object:os.system'; a configuration needs none",
     "modules: !!set {a}\n": "1: 'modules' in the configuration must be a list",
     "modules: !!omap []\n": "1: 'modules' in the configuration has the tag",
-    BRIEF + "bus: {channel: !!python/name:os.system ''}\n": (
-        "2: 'channel' in bus cannot be read: could not determine a constructor for the tag"
-    ),
+    BRIEF + "bus: {channel: !!python/name:os.system ''}\n":
+        "2: 'channel' in bus cannot be read: could not determine a constructor for the tag",
     "modules:\n- node_id: 2001-99-99\n": "2: 'node_id' in modules[0] cannot be read",
     "modules:\n- node_id: 0x_\n": "2: 'node_id' in modules[0] cannot be read: '0x_'",
     "modules:\n- node_id: !!bool 7\n": "2: 'node_id' in modules[0] cannot be read: '7'",
@@ -163,7 +147,7 @@ WRONG = {
     f"{'k' * 1000}: 1\n": "1: unknown key 'kkkkkk",
     f"modules:\n  {'[' * 900}": "2: nested too deeply",
     "{a: " * 3000: "1: nested too deeply",
-}
+}  # fmt: skip
 
 
 @each("text", WRONG)

@@ -20,6 +20,7 @@ from can.interfaces.virtual import VirtualBus
 from canfb.bus.opening import describe, group_port, open_bus, open_device_bus
 from canfb.bus.raw_can_bus import RawCanBus
 from canfb.errors import BusError, ConfigError
+from folding import each
 
 
 @pytest.fixture(autouse=True)
@@ -43,9 +44,7 @@ WRONG: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("opening", "options"), [*((open_bus, options) for options in WRONG), (open_device_bus, NOWHERE)]
-)
+@each("opening, options", [*((open_bus, options) for options in WRONG), (open_device_bus, NOWHERE)])
 def test_a_bus_that_there_is_not_gets_one_line(
     opening: Callable[..., object], options: dict[str, Any]
 ) -> None:

@@ -154,9 +154,7 @@ REFUSED: list[tuple[Callable[[], Bench], list[tuple[str, ...]], str]] = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("made", "arguments", "words"), [(made, one, words) for made, every, words in REFUSED for one in every]
-)
+@each("made, arguments, words", [(made, one, words) for made, every, words in REFUSED for one in every])
 def test_what_gives_no_samples_is_refused_within_three_seconds(
     made: Callable[[], Bench], arguments: tuple[str, ...], words: str
 ) -> None:

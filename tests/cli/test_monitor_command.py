@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import signal
 import socket
@@ -21,6 +22,7 @@ from canfb.monitoring.watching import Watching
 from canfb.scope.page_server import LivePage
 from commands import Command
 from fake_bus import message
+from folding import each
 from monitored_network import MonitoredNetwork
 from processes import python
 
@@ -183,6 +185,17 @@ def test_a_log_in_lines(nine_frames: Path, command: Command) -> None:
     assert lines[0] == "(0.000000)  080  [0]                           SYNC"
     assert lines[4].endswith("RPDO1 of 32: sine 100 ADC counts, cosine 1500 ADC counts")
     assert lines[8].startswith("(0.022000)  1A0  [8]  02 00 00 00 01 00 00 00  TPDO1 of 32: position value 2")
+
+
+@each("words, least", [("--frames", 1000), ("--frames 0x20", 1000), ("--speed 1e5", 2)])
+def test_of_a_log_that_is_cut_off_the_rest_is_shown(
+    log: Path, words: str, least: int, tmp_path: Path, command: Command
+) -> None:
+    cut = tmp_path / "cut.log.gz"
+    cut.write_bytes(gzip.compress(log.read_bytes())[:-500])
+    out, error = command(f"monitor {words} --log", cut, code=1)
+    assert out.count("\n") >= least
+    assert error.count("nothing can be read behind frame") == 1
 
 
 def test_modules_that_nobody_names_are_known_by_what_they_send(tmp_path: Path, command: Command) -> None:

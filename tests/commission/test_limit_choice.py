@@ -110,6 +110,15 @@ def test_the_limits_are_near_the_truth_detect_glitches_and_hold_on_ten_times_mor
     assert not flagged(machine, new, machine.samples(10 * COUNT), cycles_per_interval).any()
 
 
+@each("noise_lsb, words", [(0.5, "seen, times 2"), (20.0, "raised: a smaller one would narrow the residual")])
+def test_the_words_say_which_acceleration_is_proposed(noise_lsb: float, words: str) -> None:
+    machine = SimulatedMachine(duty(1, 0.5), Encoder(noise_lsb=noise_lsb))
+    observed, _, choices = machine.commissioned(COUNT)
+    choice, seen = choices[od.SUPERVISION_ACCELERATION], observed.rad(observed.motion.acceleration, 2, N)
+    assert words in choice.why
+    assert ("times 2" in choice.why) == (choice.value == pytest.approx(2.0 * seen, rel=0.02))
+
+
 def test_amplitude_limits_and_frozen_input() -> None:
     machine = fresh("quiet")
     _, _, choices = machine.commissioned(COUNT)

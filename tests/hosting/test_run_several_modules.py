@@ -27,6 +27,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from documentation import blocks, page
 from fake_bus import FakeBus, FakeClock, each_kind_of_bus, frame_bus, message  # noqa: F401
+from folding import each
 
 NODES = (33, 34, 35, 36, 37, 38, 39)
 NEWCOMER, SERIAL = 40, 7  # waits for LSS
@@ -225,9 +226,7 @@ PAGE = page("attach").partition("\n## Several")[2]
 (CONFIG,) = blocks(PAGE, "yaml")
 
 
-@pytest.mark.parametrize(
-    ("old", "new"), [("axis-y", "axis-x"), ("node_id: 0x21", "node_id: 255\n    serial_number: 4711")]
-)
+@each("old, new", [("axis-y", "axis-x"), ("node_id: 0x21", "node_id: 255\n    serial_number: 4711")])
 def test_what_must_differ(old: str, new: str) -> None:
     assert old in CONFIG
     with pytest.raises(ConfigError, match=r"modules\[[12]\]"):

@@ -17,6 +17,7 @@ from canfb.monitoring.lines import MachineUnits, plain_lines
 from canfb.monitoring.panels import Page, bar, dots, history
 from canfb.monitoring.snapshot import BusSnapshot
 from documentation import blocks, page
+from folding import each
 from monitored_network import MonitoredNetwork
 
 SIZES = [(80, 24), (120, 40), (50, 24), (200, 60)]
@@ -173,9 +174,7 @@ def test_drawings() -> None:
     assert dots([(0.0, 0.0)], 0.0, 3, 1, plain=True) == [" * "]
 
 
-@pytest.mark.parametrize(
-    ("text", "units"), [("5 mm", (5.0, "mm")), ("-360deg", (-360.0, "deg")), ("1e3 µm", (1e3, "µm"))]
-)
+@each("text, units", [("5 mm", (5.0, "mm")), ("-360deg", (-360.0, "deg")), ("1e3 µm", (1e3, "µm"))])
 def test_units(text: str, units: tuple[float, str]) -> None:
     assert dataclasses.astuple(MachineUnits.parse(text)) == units
     for wrong in ("", "mm", "5", "0 mm", "nan mm", "1e999 mm", "5 mm 6", ". mm", "1.2.3 mm"):

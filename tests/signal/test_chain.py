@@ -20,6 +20,7 @@ from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.speeds import STILL_SAMPLES
 from canfb.signal.tracker import Tracker
+from folding import each
 
 
 def test_a_gap_that_the_caller_counted_is_stepped_over_and_flagged() -> None:
@@ -212,9 +213,7 @@ def test_standstill_is_no_slow_motion() -> None:
         assert machine.chain.lost is lost
 
 
-@pytest.mark.parametrize(
-    ("speed", "intervals", "lost"), [(0.3, 0.4, False), (0.3, 1.0, True), (0.0, 1e9, False)]
-)
+@each("speed, intervals, lost", [(0.3, 0.4, False), (0.3, 1.0, True), (0.0, 1e9, False)])
 def test_intervals_that_nobody_counted_lose_a_machine_that_moves(
     speed: float, intervals: float, lost: bool
 ) -> None:

@@ -18,6 +18,7 @@ from canfb.signal.estimator import Estimator
 from canfb.signal.limits import Declared as EstimatorDeclared, kept_samples
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, VALID
+from folding import each
 from ideal_tracks import counts_at
 from tools.faults.machine import AMPLITUDE_COUNTS, positions
 from tools.faults.samples.episodes import KINDS, Declared, Episode, Kind, State, draw, play
@@ -181,9 +182,7 @@ GOOD_AFTER = 6
 
 
 @pytest.mark.parametrize("speed", [0, 30, 20, 7 * GRID + 25])
-@pytest.mark.parametrize(
-    ("missed", "bound"), [(1, 3), (1, 6), (1, 10), (1, 12), (2, 3), (2, 6), (2, 8), (3, 3), (3, 6)]
-)
+@each("missed, bound", [(1, 3), (1, 6), (1, 10), (1, 12), (2, 3), (2, 6), (2, 8), (3, 3), (3, 6)])
 def test_every_motion_of_a_small_grid_over_missing_samples(missed: int, speed: int, bound: int) -> None:
     """All 3^n motions with -B, 0, +B around a gap: valid only where one end is left, and there at once.
 
@@ -218,9 +217,7 @@ def test_every_motion_of_a_small_grid_over_missing_samples(missed: int, speed: i
 
 
 @pytest.mark.parametrize("flagged", [False, True])
-@pytest.mark.parametrize(
-    ("bound", "phase_error"), [(0.01, 0.0125), (0.05, 0.0125), (0.1, 0.0125), (0.1, 0.002), (0.16, 0.001)]
-)
+@each("bound, phase_error", [(0.01, 0.0125), (0.05, 0.0125), (0.1, 0.0125), (0.1, 0.002), (0.16, 0.001)])
 def test_as_many_samples_in_a_row_are_bridged_as_is_said(
     bound: float, phase_error: float, flagged: bool
 ) -> None:

@@ -198,9 +198,7 @@ def converter_dies(machine: Machine) -> Sample:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize(
-    ("speed", "frozen_samples"), [(0.4, 16), (0.5, 2), (3.2, 16), (3.2, 255), (3.0, 1), (3.0, 5), (83.0, 255)]
-)
+@each("speed, frozen_samples", [(0.4, 16), (0.5, 2), (3.2, 16), (3.2, 255), (3.0, 1), (3.0, 5), (83.0, 255)])
 def test_the_bit_is_set_from_the_proof_on_and_only_while_the_counts_repeat(
     speed: float, frozen_samples: int, sign: int
 ) -> None:

@@ -76,7 +76,8 @@ def test_files_as_spreadsheets_and_instruments_write_them(
         *(((0, 0.1, 0.2, 0.8, 0.9, 2), 0.3, n, [0, 1, *[None] * n, 3, *[None] * n, 5]) for n in (1, 2, 5)),
         ((0, 0.25, 0.75), 0.5, 1, [0, 1, 2]),  # a step as long as the limit
         ((0, 0.25, 0.75), 0.25, 1, [0, None, 2]),
-        ((0, 10, 20, 30), 1.0, 2, [*[None] * 6, 3]),
+        ((0, 10, 20, 30), 1.0, 2, [0, 1, 2, 3]),  # a slow recording
+        ((0, 10, 20, 40), 1.0, 2, [0, 1, None, None, 3]),
     ],
 )
 def test_at_a_gap_the_last_sample_is_left_out_and_samples_are_lost(
@@ -97,6 +98,7 @@ WRONG: dict[str, tuple[str | bytes, str]] = {
     "infinite": ("a,b\n1,inf\n", ":2: a value in one of the selected columns is not a number"),
     "a number after a quoted line end": ('x,a,b\n"one\ntwo",1,2\n3,4,x\n', ":4: a value in one"),
     "too large": ("a,b\n0,32768\n", ":2: 0, 32768 does not fit INTEGER16: --mid-scale 16384"),
+    "huge": ("a,b\n1e300,0\n", ":2: 1e+300, 0 does not fit INTEGER16: --mid-scale 5e+299 --scale "),
     "not text": (b"a,b\n\0\0,2\n", ": this is not a text file with columns"),
     "a byte that is no digit": (b"a,b\n\xff\xfe,2\n", ":2: a value in one of the selected columns is not"),
     "a line after that of the separator": ("sep=;\na;b\n1;2\n1;x\n", ":4: a value in one"),
@@ -126,9 +128,7 @@ def test_a_column_that_is_not_there_is_refused(tmp_path: Path, name: str) -> Non
         open_recording(path, RecordingLayout(("a", name)))
 
 
-@pytest.mark.parametrize(
-    ("paced", "ticks"), [(False, [0, 10_000, 21_000, 30_000]), (True, [0, 50_000, 105_000, 150_000])]
-)
+@each("paced, ticks", [(False, [0, 10_000, 21_000, 30_000]), (True, [0, 50_000, 105_000, 150_000])])
 def test_the_times_are_those_of_the_file_or_are_stretched_to_the_rate(
     tmp_path: Path, paced: bool, ticks: list[int]
 ) -> None:
@@ -140,7 +140,13 @@ def test_the_times_are_those_of_the_file_or_are_stretched_to_the_rate(
     assert [sample.time_100ns for sample in samples if sample] == ticks
 
 
-UNSIGNED = {
+def turning(sine: float = 0.0, cosine: float = 0.0, amplitude: float = 1500.0, unit: float = 1.0) -> str:
+    angle = np.linspace(0.1, 40.0, 500)
+    pairs = np.column_stack([sine + amplitude * np.sin(angle), cosine + amplitude * np.cos(angle)])
+    return "a,b\n" + "".join(f"{s},{c}\n" for s, c in np.rint(pairs / unit) * unit)
+
+
+UNSIGNED: dict[str, tuple[float, float, float, float, str]] = {
     # middle of sine and cosine, amplitude, unit: what makes signed counts of it
     "12 bits, all": (2047.5, 2047.5, 2047.5, 1.0, "--mid-scale 2048"),
     "12 bits, with offsets": (2110.0, 1990.0, 1500.0, 1.0, "--mid-scale 2048"),
@@ -154,10 +160,8 @@ UNSIGNED = {
 
 @pytest.mark.parametrize("case", UNSIGNED)
 def test_unsigned_readings_are_refused_with_the_options_that_they_need(case: str, tmp_path: Path) -> None:
-    sine, cosine, amplitude, unit, options = UNSIGNED[case]
-    angle = np.linspace(0.1, 40.0, 500)
-    pairs = np.column_stack([sine + amplitude * np.sin(angle), cosine + amplitude * np.cos(angle)])
-    path = written(tmp_path, "a,b\n" + "".join(f"{s},{c}\n" for s, c in np.rint(pairs / unit) * unit))
+    *tracks, options = UNSIGNED[case]
+    path = written(tmp_path, turning(*tracks))
     with pytest.raises(CanfbError, match=f"no reading is below 0: {options}$"):
         open_recording(path, AB)
     words = options.split()
@@ -168,10 +172,19 @@ def test_unsigned_readings_are_refused_with_the_options_that_they_need(case: str
     assert (abs(counts.min(axis=1) + counts.max(axis=1)) < 0.1 * np.ptp(counts, axis=1)).all()
 
 
+@each("mid_scale, scale, words", [
+    (0.0, 100.0, "does not fit INTEGER16: --scale 16"),
+    (2.0, 100.0, "does not fit INTEGER16: --mid-scale 0 --scale 16"),
+    (40000.0, 1.0, "does not fit INTEGER16: --mid-scale 0"),
+    (5000.0, 1.0, "not centred, no reading is above 5000: --mid-scale 0"),
+    (-5000.0, 1.0, "not centred, no reading is below -5000: --mid-scale 0"),
+])  # fmt: skip
+def test_options_that_are_wrong_are_named(mid_scale: float, scale: float, words: str, tmp_path: Path) -> None:
+    with pytest.raises(CanfbError, match=f"{re.escape(words)}$"):
+        open_recording(written(tmp_path, turning()), replace(AB, mid_scale=mid_scale, scale=scale))
+
+
 def test_one_unsigned_track_and_a_standing_machine_are_read(tmp_path: Path) -> None:
     """No mid-scale is that of both tracks of the first; without motion nobody knows that of the second."""
-    angle = np.linspace(0.1, 40.0, 500)
-    turning, standing = (2048 + 1500 * np.sin(angle), 1500 * np.cos(angle)), (0 * angle + 700, 0 * angle + 9)
-    for sine, cosine in (turning, standing):
-        rows = "".join(f"{s:.0f},{c:.0f}\n" for s, c in zip(sine, cosine, strict=True))
-        assert len(open_recording(written(tmp_path, f"a,b\n{rows}"), AB).tracks[0]) == 500
+    for text in (turning(2048.0, 0.0), turning(700.0, 9.0, 0.0)):
+        assert len(open_recording(written(tmp_path, text), AB).tracks[0]) == 500

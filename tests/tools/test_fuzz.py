@@ -16,6 +16,7 @@ from canfb.cia301.frame import Frame
 from canfb.device.sdo.server import SdoServer
 from canfb.errors import CanfbError
 from drawing import examples
+from folding import each
 from tools.fuzz import body, files
 from tools.fuzz.__main__ import main
 from tools.fuzz.body import Play
@@ -126,9 +127,7 @@ def test_a_flood_is_found() -> None:
         run.tick()
 
 
-@pytest.mark.parametrize(
-    ("index", "subindex", "value"), [(0x2001, 1, 0), (0x1A01, 1, 0x20000110), (0x6000, 0, 65536)]
-)
+@each("index, subindex, value", [(0x2001, 1, 0), (0x1A01, 1, 0x20000110), (0x6000, 0, 65536)])
 def test_a_spoilt_dictionary_is_found(index: int, subindex: int, value: int) -> None:
     run = started(MODULE)
     run.check_values()

@@ -128,7 +128,7 @@ class SpeedSamples:
     @property
     def rate_hz(self) -> float:
         if not self.samples.rate_hz:
-            raise CommissioningError("the rate of the samples is not known: --rate")
+            raise CommissioningError("the rate of the samples is not known: --sample-rate")
         return self.samples.rate_hz
 
     @property

@@ -283,7 +283,7 @@ def _integer(text: str) -> int:
 
 whole_number = checked(_integer, lambda _: True, "is not a whole number")
 node_number = checked(_integer, lambda node: 1 <= node <= 127, "is not a node-ID (1 to 127, or 0x01 to 0x7F)")
-positive = checked(float, lambda value: 0.0 < value < 1e6, "is not a number above 0")
+positive = checked(float, lambda value: 0.0 < value < 1e9, "is not a number above 0 and below 1e9")
 
 
 def size(text: str) -> int:

@@ -69,11 +69,10 @@ def register(commands: Commands) -> None:
         ),
         option("--times", action="store_true", help="the ADC PDO carries sample times"),
         option("--table", action="store_true", help="a correction table is in force"),
-        option("--adc-bits", type=whole_number, default=12, metavar="BITS", help="of the converter (12)"),
+        option("--adc-bits", type=whole_number, metavar="BITS", help="of the converter (12)"),
         option(
             "--modules",
             type=whole_number,
-            default=1,
             metavar="COUNT",
             help="that are alike, each with its interface (1)",
         ),

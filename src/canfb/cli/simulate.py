@@ -23,6 +23,7 @@ from canfb.cli.options import (
     nodes,
     option,
     positive,
+    refuse_idle,
 )
 from canfb.cli.printing import printed_without_waiting, say
 from canfb.configuration import Config, load_config
@@ -37,6 +38,7 @@ from canfb.simulation.set_up import Play, SampleRecorder
 from canfb.sources.recording_source import chosen_layout
 
 TIMES = ("time_column", "gap", "gap_samples")
+OF_CSV = ("columns", "mid_scale", "scale", *TIMES)
 WRITERS = {".csv": write_csv, ".npz": write_npz}
 
 
@@ -91,7 +93,7 @@ def register(commands: Commands) -> None:
         add_bus_options,
         idle=(
             (
-                ("columns", "mid_scale", "scale", *TIMES),
+                OF_CSV,
                 "samples",
                 True,
                 "only with --samples",
@@ -143,6 +145,8 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
             simulation = replace(simulation, motion=replace(simulation.motion, rpm=options.rpm))
         except ValueError as error:
             raise ConfigError(f"--rpm {options.rpm:g}: {error}") from None
+    if options.samples is not None and options.samples.lower().endswith(".npz"):
+        refuse_idle(options, OF_CSV, f"only for CSV, not for {options.samples}")
     layout = chosen_layout(options.columns, options.mid_scale, options.scale, options.time_column)
     play = Play(
         rate_hz=options.rate,

@@ -152,11 +152,13 @@ def _motion(
         )
         return dict.fromkeys((od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION), (None, why))
     limit, why = _residual_limit(motion, margin, known, error_cycles)
-    # A smaller acceleration would narrow the limit.
-    largest = max(margin * motion.acceleration, known, limit / LIMIT_UNITS - 4.0 * error_cycles)
+    largest, taken = _largest(
+        (margin * motion.acceleration, f"times {margin:g}"),
+        (known, f"{known_rad_s2:g} given"),
+        (limit / LIMIT_UNITS - 4.0 * error_cycles, "raised: a smaller one would narrow the residual limit"),
+    )
     most = max_acceleration(n, 1.0 / machine.interval_s)
     value = as_real32(min(_rounded_up(largest * to_rad), most))
-    taken = f"{known_rad_s2:g} given" if known > margin * motion.acceleration else f"times {margin:g}"
     words = f"{motion.acceleration * to_rad:.3g} rad/s² seen, {taken}"
     if value >= most * (1.0 - 1e-6):
         words += "; no more than eq. 10 allows: increase the SYNC rate"

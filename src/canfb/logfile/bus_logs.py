@@ -8,6 +8,7 @@ time for a line than the module for its frame. It reads blocks in which a line i
 from __future__ import annotations
 
 import contextlib
+import gzip
 import logging
 import math
 import re
@@ -24,12 +25,14 @@ from pathlib import Path
 from typing import Any, Self
 
 import can
+from can.io import MESSAGE_WRITERS
 
 from canfb.bus.frame_bus import ERROR, MULTICAST, Reception, brings_own_frames_back, flagged_id
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.errors import CanfbError, ConfigError, reason
 from canfb.files import check_writable, replacing, writing
 from canfb.logfile.log_files import (
+    GZIP,
     NEEDS_PACKAGE,
     READABLE,
     UNREADABLE,
@@ -354,9 +357,11 @@ class BusLog:
         self._max_bytes = max_bytes
         self._clock, self._sleep = clock, sleep
         self._stopped = False
-        suffix = check_suffix(path, WRITABLE)
+        self._suffix = check_suffix(path, WRITABLE)
         if max_bytes and path.suffix.lower() not in ROTATED:
-            raise ConfigError(f"--max-size: python-can divides {', '.join(sorted(ROTATED))}, not {suffix}")
+            raise ConfigError(
+                f"--max-size: python-can divides {', '.join(sorted(ROTATED))}, not {path.suffix}"
+            )
         check_writable(path)
         if path.exists() and (not overwrite or not path.is_file()):
             raise ConfigError(f"{path}: is there already; take another name, or --force")
@@ -365,7 +370,13 @@ class BusLog:
         name, most = str(self.place), self._max_bytes
         try:
             with writing(self.path):
-                self._writer = can.SizedRotatingLogger(name, max_bytes=most) if most else can.Logger(name)
+                # As python-can opens it, which takes no other dot in the name of a .gz.
+                file: Any = gzip.open(name, "wt") if self.path.suffix.lower() == GZIP else name
+                self._writer = (
+                    can.SizedRotatingLogger(name, max_bytes=most)
+                    if most
+                    else MESSAGE_WRITERS[self._suffix](file)
+                )
         except (NotImplementedError, ImportError) as error:
             raise CanfbError(f"{self.path}: {NEEDS_PACKAGE}") from error
         return self

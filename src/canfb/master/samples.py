@@ -88,7 +88,9 @@ class TrackSamples:
         if not cosine_delay_s:
             return self
         if not self.rate_hz:
-            raise CommissioningError("2002:06 is set, and the rate of the samples is not known: --rate")
+            raise CommissioningError(
+                "2002:06 is set, and the rate of the samples is not known: --sample-rate"
+            )
         record = recording(self.sine, self.cosine, self.time_s, None, None, may_be_offset=True)
         speed = speeds(record, cycles_per_s / self.rate_hz)
         cosine = sampled_together(record, 2.0 * np.pi * self.rate_hz * cosine_delay_s * speed)

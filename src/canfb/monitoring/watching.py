@@ -92,8 +92,8 @@ def classic(frames: Iterable[tuple[float, Frame | None]]) -> Iterator[tuple[floa
 
 
 def recognised(log: Path) -> dict[int, Read]:
-    recognition, frames = Recognition(), classic(itertools.islice(MessageReader().log(log), RECOGNISED_IN))
-    found = {recognition.found(frame.can_id, frame.data) for _, frame in frames}
+    recognition, frames = Recognition(), itertools.islice(BusLogFile(log), RECOGNISED_IN)
+    found = {recognition.found(frame.can_id, frame.data) for frame in frames}
     return {node: assumed_objects(node) for node in found if node is not None}
 
 
@@ -127,17 +127,22 @@ class Watching:
     def log(self, path: Path, speed: float | None = None) -> None:
         """From a log, in its own time; ``speed`` times as fast, None: as fast as it can be read."""
         now, due = 0.0, self._interval_s
-        for now, frame in self._reader.log(path):
-            if not abs(now - due) < LONGEST_GAP_S:
-                due = now + self._interval_s
-            while now >= due and not self._reader.stopped.is_set():
-                left_s = self._interval_s / speed if speed is not None else 0.0
-                while left_s > 0.0 and not self._reader.stopped.is_set():
-                    self._reader.sleep(min(left_s, LONGEST_WAIT_S))
-                    left_s -= LONGEST_WAIT_S
-                self._look(due)
-                due += self._interval_s
-            self._model.receive(frame, now)
+        try:
+            for now, frame in self._reader.log(path):
+                if not abs(now - due) < LONGEST_GAP_S:
+                    due = now + self._interval_s
+                while now >= due and not self._reader.stopped.is_set():
+                    left_s = self._interval_s / speed if speed is not None else 0.0
+                    while left_s > 0.0 and not self._reader.stopped.is_set():
+                        self._reader.sleep(min(left_s, LONGEST_WAIT_S))
+                        left_s -= LONGEST_WAIT_S
+                    self._look(due)
+                    due += self._interval_s
+                self._model.receive(frame, now)
+        except LogError:  # cut off: what could be read is shown
+            if now > 0.0:
+                self._look(now)
+            raise
         self._look(now)
 
     def _look(self, now: float) -> None:

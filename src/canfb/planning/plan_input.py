@@ -187,8 +187,9 @@ FIRST_MODULE, FIRST_INTERFACE, MOST_MODULES = 0x20, 0x10, 32
 FURTHER_INTERFACES = FIRST_MODULE + MOST_MODULES
 
 
-def modules_alike(count: int, adc_bits: int) -> Config:
-    """``count`` modules (1..32), factory defaults, each with an encoder interface of its own. ValueError."""
+def modules_alike(count: int | None, adc_bits: int | None) -> Config:
+    """``count`` modules (1..32, None: 1), factory defaults, each with its encoder interface. ValueError."""
+    count, adc_bits = 1 if count is None else count, 12 if adc_bits is None else adc_bits
     integer_in("modules", count, 1, MOST_MODULES)
     room = FIRST_MODULE - FIRST_INTERFACE
     return Config(

@@ -23,7 +23,11 @@ MOST_SAMPLES = 1 << 25  # Nine hours at 1 kHz: a few rows with gaps can ask for 
 # Values with a fraction that are all below: no converter of 4 bits or more has so few counts.
 LARGEST_VOLTS = 32.0
 NEAR = 0.25  # Part of the amplitude: the offset of an encoder is less.
+LONG_STEP = 1.5  # times a short step of the file: less is no gap, however slow the recording
 SHORTEST_STEP_S = 1e-9  # Rows that are closer have no rate to which they could be stretched.
+
+
+OF_CSV = ("columns", "mid_scale", "scale", "time_column", "gap_s", "gap_samples")
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,10 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
         flag("time_stamps", self.time_stamps)
         if self.time_stamps and self.time_column is None:
             raise ValueError("time_stamps need a time_column")
+        layout = {**vars(self), "columns": tuple(self.columns)}
+        idle = [key for key in OF_CSV if layout[key] != getattr(RecordingLayout, key)]
+        if idle and self.file.lower().endswith(".npz"):
+            raise ValueError(f"{', '.join(idle)}: only for CSV, not for {self.file}")
 
     def check_machine(self) -> None:
         try:
@@ -141,7 +149,9 @@ def open_recording(file: str | Path, layout: RecordingLayout) -> RecordingSource
         _check(path, columns, ~(np.abs(seconds) <= LARGEST_TIME_S), "{2} is not a time in seconds")
         _check(path, columns, np.diff(seconds, prepend=-np.inf) < 0.0, "the time goes back to {2:g} s")
     played = np.ones(len(pairs), np.int64)
-    before_gap = np.flatnonzero(np.diff(seconds) > layout.gap_s) if timed else np.zeros(0, np.int64)
+    steps_s = np.diff(seconds) if timed and len(pairs) > 1 else np.zeros(1)
+    slow_s = LONG_STEP * float(np.quantile(steps_s, 0.25, method="lower"))
+    before_gap = np.flatnonzero(steps_s > max(layout.gap_s, slow_s))
     played[before_gap], pairs[before_gap] = max(layout.gap_samples, 1), np.nan
     if played.sum() > MOST_SAMPLES:
         raise CanfbError(
@@ -168,18 +178,20 @@ def _counts(path: Path, columns: Columns, layout: RecordingLayout) -> FloatArray
             "scale to 2^(bits - 1) / volts of full scale, and the bits of the converter (--scale, --adc-bits)"
         )
     centred = values - layout.mid_scale
-    if goes_round_off_zero(*centred.T):
-        raise CanfbError(
-            f"{path}: the tracks are not centred, no reading is below {layout.mid_scale:g}: {_remedy(values)}"
-        )
+    for side, sign in (("below", 1.0), ("above", -1.0)):
+        if goes_round_off_zero(*(sign * centred.T)):
+            raise CanfbError(
+                f"{path}: the tracks are not centred, no reading is {side} {layout.mid_scale:g}: "
+                f"{_remedy(values, layout)}"
+            )
     counts: FloatArray = np.rint(centred * layout.scale)
     outside = ((counts < -32768) | (counts > 32767)).any(axis=1)
-    message = "{0:.0f}, {1:.0f} does not fit INTEGER16: " + _remedy(values)
+    message = "{0:.9g}, {1:.9g} does not fit INTEGER16: " + _remedy(values, layout)
     _check(path, columns._replace(values=counts), outside, message)
     return counts
 
 
-def _remedy(values: FloatArray) -> str:
+def _remedy(values: FloatArray, layout: RecordingLayout) -> str:
     """Options that make signed 16-bit counts of readings: 2^(bits - 1) if it is near the middle."""
     low, high = values.min(axis=0), values.max(axis=0)
     middle, amplitude = float((low + high).mean()) / 2.0, float((high - low).max()) / 2.0
@@ -188,8 +200,9 @@ def _remedy(values: FloatArray) -> str:
         converter = float(1 << int(max(high.max(), 1.0)).bit_length() - 1)
         zero = next((one for one in (0.0, converter) if abs(one - middle) < NEAR * amplitude), round(middle))
     reach = max(float(high.max()) - zero + 1.0, zero - float(low.min()))
-    scale = f" --scale {0.5 ** math.ceil(math.log2(reach / 32768.0)):.10g}" if reach > 32768.0 else ""
-    return (f"--mid-scale {zero:.10g}" if zero else "") + scale
+    fits = f" --scale {0.5 ** math.ceil(math.log2(reach / 32768.0)):.10g}"
+    scale = fits if reach * abs(layout.scale) > 32768.0 else ""
+    return ((f"--mid-scale {zero:.10g}" if zero or layout.mid_scale else "") + scale).strip()
 
 
 def _stretch(seconds: FloatArray, layout: RecordingLayout) -> float:
