@@ -60,58 +60,37 @@ def because(error: Exception, cause: Exception) -> Exception:
     return error
 
 
-ADVICE: dict[str, tuple[dict[str, Any], Exception, str]] = {
-    "no SocketCAN": (
-        {"interface": "socketcan", "channel": "vcan0"},
-        OSError(97, "Address family not supported by protocol"),
-        "this system has no SocketCAN (Address family not supported by protocol); see docs/vcan.md",
-    ),
-    "no interface": (
-        {"interface": "socketcan", "channel": "vcan7"},
-        OSError(19, "No such device"),
-        "No such device; `ip link` lists the interfaces, docs/vcan.md explains how to create one",
-    ),
-    "no driver": (
-        {"interface": "kvaser", "channel": 0},
-        NameError("name 'canGetNumberOfChannels' is not defined"),
-        "the driver of kvaser is missing; install it, see python-can's page on kvaser",
-    ),
-    "no library": (
-        {"interface": "pcan"},
-        OSError("pcanbasic library not found."),
-        "the driver of pcan is missing (pcanbasic library not found.); install it, see python-can's page "
-        "on pcan",
-    ),
-    "no module": (
-        {"interface": "slcan"},
-        can.CanInterfaceNotImplementedError("The serial module is not installed"),
-        "the driver of slcan is missing (The serial module is not installed); install it, see python-can's "
-        "page on slcan",
-    ),
-    "a missing word": (
-        {"interface": "socketcand", "channel": "can0"},
-        TypeError("SocketCanDaemonBus.__init__() missing 2 required positional arguments: 'host' and 'port'"),
-        "the bus also needs 'host' and 'port'; see python-can's page on socketcand",
-    ),
-    "anything else": ({"interface": "slcan"}, OSError(13, "Permission denied"), "Permission denied"),
-    "no number": ({"channel": "x"}, struct.error("not a number"), "not a number"),
-    "a mistake": ({"channel": "x"}, AttributeError("what?"), "what?"),
-    "several lines": ({"channel": "x"}, ValueError("one\ntwo"), "one"),
-    "no text": ({"channel": "x"}, RuntimeError(), "RuntimeError"),
-    "no route": (
-        {"interface": "udp_multicast", "channel": "239.74.163.3"},
-        because(
-            can.CanInitializationError("could not create socket"), OSError(errno.ENODEV, "No such device")
-        ),
-        "this computer has no route for multicast (`ip route add 224.0.0.0/4 dev lo`); see docs/vcan.md",
-    ),
-}
+ADVICE: list[tuple[dict[str, Any], Exception, str]] = [
+    ({"interface": "socketcan", "channel": "vcan0"}, OSError(97, "Address family not supported by protocol"),
+     "this system has no SocketCAN (Address family not supported by protocol); see docs/vcan.md"),
+    ({"interface": "socketcan", "channel": "vcan7"}, OSError(19, "No such device"),
+     "No such device; `ip link` lists the interfaces, docs/vcan.md explains how to create one"),
+    ({"interface": "kvaser", "channel": 0}, NameError("name 'canGetNumberOfChannels' is not defined"),
+     "the driver of kvaser is missing; install it, see python-can's page on kvaser"),
+    ({"interface": "pcan"}, OSError("pcanbasic library not found."),
+     "the driver of pcan is missing (pcanbasic library not found.); install it, see python-can's page "
+     "on pcan"),
+    ({"interface": "slcan"}, can.CanInterfaceNotImplementedError("The serial module is not installed"),
+     "the driver of slcan is missing (The serial module is not installed); install it, see python-can's "
+     "page on slcan"),
+    ({"interface": "socketcand", "channel": "can0"},
+     TypeError("SocketCanDaemonBus.__init__() missing 2 required positional arguments: 'host' and 'port'"),
+     "the bus also needs 'host' and 'port'; see python-can's page on socketcand"),
+    ({"interface": "slcan"}, OSError(13, "Permission denied"), "Permission denied"),
+    ({"channel": "x"}, struct.error("not a number"), "not a number"),
+    ({"channel": "x"}, AttributeError("what?"), "what?"),
+    ({"channel": "x"}, ValueError("one\ntwo"), "one"),
+    ({"channel": "x"}, RuntimeError(), "RuntimeError"),
+    ({"interface": "udp_multicast", "channel": "239.74.163.3"},
+     because(can.CanInitializationError("could not create socket"), OSError(errno.ENODEV, "No such device")),
+     "this computer has no route for multicast (`ip route add 224.0.0.0/4 dev lo`); see docs/vcan.md"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("case", ADVICE)
-def test_what_python_can_says_becomes_advice(monkeypatch: pytest.MonkeyPatch, case: str) -> None:
-    words, error, advice = ADVICE[case]
-
+@pytest.mark.parametrize(("words", "error", "advice"), ADVICE)
+def test_what_python_can_says_becomes_advice(
+    monkeypatch: pytest.MonkeyPatch, words: dict[str, Any], error: Exception, advice: str
+) -> None:
     def failing(**options: object) -> None:
         raise error
 

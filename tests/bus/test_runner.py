@@ -465,18 +465,11 @@ SHORT = [(1.0 + 0.1 * n, RESTARTED if n % 2 else BUS_OFF) for n in range(20)]  #
 
 # What happens; when the device hears of it: (off), (off, back), ...; and the lines, None: not looked at.
 SCENES: dict[str, tuple[list[Any], dict[str, Any], list[float], list[str] | None]] = {
-    "an automatic restart": (
-        [(1.0, BUS_OFF), (1.1, RESTARTED)],
-        {},
-        [1.0, 1.1 + SETTLED_S],
-        [OFF_LINE, ON_LINE],
-    ),
-    "twice": (
-        [(1.0, BUS_OFF), (1.1, RESTARTED), (5.0, BUS_OFF), (5.1, RESTARTED)],
-        {},
-        [1.0, 1.1 + SETTLED_S, 5.0, 5.1 + SETTLED_S],
-        [OFF_LINE, ON_LINE] * 2,
-    ),
+    "an automatic restart":
+        ([(1.0, BUS_OFF), (1.1, RESTARTED)], {}, [1.0, 1.1 + SETTLED_S], [OFF_LINE, ON_LINE]),
+    "twice":
+        ([(1.0, BUS_OFF), (1.1, RESTARTED), (5.0, BUS_OFF), (5.1, RESTARTED)], {},
+         [1.0, 1.1 + SETTLED_S, 5.0, 5.1 + SETTLED_S], [OFF_LINE, ON_LINE] * 2),
     "nobody restarts it": ([(1.0, BUS_OFF)], {}, [1.0], [OFF_LINE]),
     "several are one": ([(1.0, BUS_OFF), (1.01, BUS_OFF), (1.02, BUS_OFF)], {}, [1.0], None),
     "error frames are no life": ([(1.0, BUS_OFF), (1.1, WARNING), (1.2, WARNING)], {}, [1.0], None),
@@ -485,18 +478,11 @@ SCENES: dict[str, tuple[list[Any], dict[str, Any], list[float], list[str] | None
     "warnings": ([(0.1 * n, WARNING) for n in range(1, 20)], {}, [], []),
     "frames": ([(0.1 * n, FRAME) for n in range(1, 20)], {}, [], []),
     # SocketCAN says it once to the reader; then nothing comes, and sending fails.
-    "down": (
-        [(1.0, DOWN)],
-        sending(lambda at: DOWN if 1.0 <= at < 4.0 else None, 0.5),
-        [1.0, 4.0 + SETTLED_S],
-        [DOWN_LINE, "the bus works again"],
-    ),
-    "reading fails on and on": (
-        [*((1.0, GONE) for _ in range(10)), (5.0, FRAME)],
-        {},
-        [1.0 + LASTING_S, 5.0 + SETTLED_S],
-        None,
-    ),
+    "down":
+        ([(1.0, DOWN)], sending(lambda at: DOWN if 1.0 <= at < 4.0 else None, 0.5),
+         [1.0, 4.0 + SETTLED_S], [DOWN_LINE, "the bus works again"]),
+    "reading fails on and on":
+        ([*((1.0, GONE) for _ in range(10)), (5.0, FRAME)], {}, [1.0 + LASTING_S, 5.0 + SETTLED_S], None),
     "bad datagrams": ([(0.1 * n, UNPACKED if n % 2 else FRAME) for n in range(1, 60)], {}, [], None),
     **{
         f"sending fails: {error!r}": (
@@ -518,7 +504,7 @@ SCENES: dict[str, tuple[list[Any], dict[str, Any], list[float], list[str] | None
         f"a full queue: {error}": ([], sending(lambda at, error=error: error, 0.1), [], None)
         for error in (FULL, GONE)
     },
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -77,6 +77,18 @@ def test_the_account_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert (tmp_path / "table.bin").read_bytes() == bench.module.chain.correction.table.to_bytes()  # type: ignore[union-attr]
 
 
+def test_a_table_that_is_worse_than_the_one_before_is_said_to_be(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = Bench(rpm=137.0)
+    assert calibrate(bench) == 0
+    assert "the rest is mostly noise of single samples." in capsys.readouterr().out
+    assert calibrate(bench, "--entries", "32") == 0
+    out = capsys.readouterr().out
+    assert "Accepted. The previous table is better: " in out
+    assert "mostly noise" not in out
+    with pytest.raises(CalibrationError, match="the table of 16 entries would be uncertain by "):
+        calibrate(bench, "--entries", "16")
+
+
 def test_the_figures_are_those_of_the_module(figures_of: Any, capsys: pytest.CaptureFixture[str]) -> None:
     """Cycles from standstill on, missed samples by its counter, its identity; a dry run writes nothing."""
     motion = Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),))
@@ -199,6 +211,20 @@ def test_what_does_not_keep_its_promise_is_taken_back(change: Any, words: str) -
 
     bench.master.on_wait = happen
     with pytest.raises(CommissioningError, match=f"{words}.*; the previous table and conditioning"):
+        calibrate(bench)
+    assert read_active(bench.access) == NO_CORRECTION
+
+
+def test_a_table_that_another_master_deactivates_meanwhile_is_not_said_to_be_active() -> None:
+    bench = Bench()
+    bench.bus.run_until(0.1)
+
+    def happen(now: float) -> None:
+        if bench.value(0x2020, 4):
+            bench.module.receive(Frame(0x620, bytes.fromhex("23202003 00000000")), now)
+
+    bench.master.on_wait = happen
+    with pytest.raises(CommissioningError, match=r"active table is 00000000h.*; the previous table"):
         calibrate(bench)
     assert read_active(bench.access) == NO_CORRECTION
 

@@ -462,6 +462,9 @@ def test_tracks_that_reach_the_end_of_the_converter():
     assert _reason(sine, cosine) == "clipped"
     with pytest.raises(ValueError, match="adc_bits"):
         calibrate_from_motion(*_encoder_at_300_rpm(near), adc_bits=8)
+    sine, cosine = (2048 + track for track in _encoder_at_300_rpm(near))
+    with pytest.raises(ValueError, match="none is below zero: subtract mid-scale"):
+        calibrate_from_motion(sine, cosine, conditioning="fit", adc_bits=12)
 
 
 @pytest.mark.parametrize("method", [calibrate_from_motion, calibrate_from_zero_crossings])

@@ -292,29 +292,22 @@ def checked(tmp_path: Path, command: Command) -> Callable[..., str]:
 
 
 WRONG = {
-    f"bus: {{interface: socketcann}}\n{MODULES}": (
-        ":1: unknown interface 'socketcann' in bus; did you mean 'socketcan'?"
-    ),
-    f"bus:\n  interface: socketcan\n  chanel: can0\n{MODULES}": (
-        ":3: unknown key 'chanel' in bus for socketcan; did you mean 'channel'?"
-    ),
-    f"bus:\n  interface: socketcan\n  bitrate: 1M\n{MODULES}": (
-        ":3: bitrate in bus must be bits per second, such as 1000000, not '1M'"
-    ),
-    f"bus:\n  interface: virtual\n  receive_own_messages: true\n{MODULES}": (
-        ":3: receive_own_messages: omit it; a device must not receive its own frames"
-    ),
-    f"{MODULES}    source:\n      kind: recording\n      file: /nowhere/tracks.csv\n": (
-        ":5: file /nowhere/tracks.csv of source cannot be read: No such file or directory"
-    ),
-    f"{MODULES}    state_dir: /dev/null/x\n": (
-        ":3: state_dir /dev/null/x cannot be used: /dev/null is not a folder"
-    ),
+    f"bus: {{interface: socketcann}}\n{MODULES}":
+        ":1: unknown interface 'socketcann' in bus; did you mean 'socketcan'?",
+    f"bus:\n  interface: socketcan\n  chanel: can0\n{MODULES}":
+        ":3: unknown key 'chanel' in bus for socketcan; did you mean 'channel'?",
+    f"bus:\n  interface: socketcan\n  bitrate: 1M\n{MODULES}":
+        ":3: bitrate in bus must be bits per second, such as 1000000, not '1M'",
+    f"bus:\n  interface: virtual\n  receive_own_messages: true\n{MODULES}":
+        ":3: receive_own_messages: omit it; a device must not receive its own frames",
+    f"{MODULES}    source:\n      kind: recording\n      file: /nowhere/tracks.csv\n":
+        ":5: file /nowhere/tracks.csv of source cannot be read: No such file or directory",
+    f"{MODULES}    state_dir: /dev/null/x\n":
+        ":3: state_dir /dev/null/x cannot be used: /dev/null is not a folder",
     f"{MODULES}realtime:\n  cpu: 65535\n": ":4: cpu 65535 in realtime: this machine has 1, 0 to 0",
-    f"{MODULES}realtime: {{cpu: 0, busy_poll: true}}\n": (
-        ":3: busy_poll in realtime: this machine has one processor, which all programs share"
-    ),
-}
+    f"{MODULES}realtime: {{cpu: 0, busy_poll: true}}\n":
+        ":3: busy_poll in realtime: this machine has one processor, which all programs share",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("text", WRONG)

@@ -111,6 +111,11 @@ def test_it_judges_by_the_limits_that_the_module_has_in_force(
     assert figures["speed_most_rpm"] == pytest.approx(0.12 * figures["sample_rate_hz"], rel=0.02)
 
 
+def test_no_phase_is_off_by_more_than_half_a_cycle(capsys: pytest.CaptureFixture[str]) -> None:
+    assert commission(bench_of(), "--acceleration", "2000") == 0
+    assert "if its phase is off by more than 0.5 cycle, 0.5 before" in capsys.readouterr().out
+
+
 def test_it_writes_watches_and_saves(capsys: pytest.CaptureFixture[str]) -> None:
     store = MemoryStore()
     bench = bench_of(store=store)
@@ -152,6 +157,10 @@ def interrupt(bench: Bench, guard: Guard) -> None:
     guard.interrupt()
 
 
+def write_another(bench: Bench, guard: Guard) -> None:
+    bench.module.receive(Frame(0x620, struct.pack("<BHBf", 0x23, 0x2010, 2, 7.0)), bench.bus.now)
+
+
 IN_FORCE_AGAIN = r"; the limits from before are in force in module 32 \(20h\)"
 
 
@@ -161,6 +170,7 @@ IN_FORCE_AGAIN = r"; the limits from before are in force in module 32 \(20h\)"
         (weaken, CommissioningError, f"flags samples with the new limits .* amplitude.*{IN_FORCE_AGAIN}"),
         (fail, CommissioningError, f"the bus fails: cable{IN_FORCE_AGAIN}"),
         (interrupt, KeyboardInterrupt, None),
+        (write_another, CommissioningError, f"2010:02 reads 7, not .* as written{IN_FORCE_AGAIN}"),
     ],
 )
 def test_what_happens_while_the_new_limits_are_watched_undoes_all(

@@ -12,16 +12,17 @@ from typing import Any
 
 import pytest
 
+import commissioning_kit
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser
-from canfb.diagnosis.lost import Loss, LostPosition, read_lost_position
+from canfb.diagnosis.lost import MOTION, Loss, LostPosition, read_lost_position
 from canfb.hosting import self_diagnosis
 from canfb.objects import LossCause, StatusBit
 from canfb.rows import age_words
 from canfb.view.module_view import limit_settings
 from commands import Command
-from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench
+from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder
 from documentation import blocks, page
 from folding import each
 from node_commands import Commands, abort, between, place_of
@@ -85,15 +86,43 @@ def test_what_the_module_has_mapped_is_what_brings_it_back() -> None:
     entry(0x1601, 0).value = 3
     found = read_lost_position(bench.access)
     assert (found.coarse, found.zero_pulse, found.second, found.limits.timed) == (True, True, False, False)
-    said = found.brings_back()
+    said = replace(found, status=StatusBit.LOST).brings_back()
     assert "not mapped" not in said[1] + said[2]
     assert "not in use" in said[3]
 
 
 def test_a_module_without_samples_says_so_first(canfb: Commands) -> None:
-    stopped = Bench(sync=False, operational=False)
-    out, _ = canfb(stopped, "why", NODE)
-    assert "no samples are processed now: is it OPERATIONAL (canfb node start 0x20)" in out
+    silent = turning()
+    silent.source.change = lambda counts: None
+    for bench in (Bench(sync=False, operational=False), silent):
+        out, _ = canfb(bench, "why", NODE)
+        assert "no samples are processed now: is it OPERATIONAL (canfb node start 0x20)" in out
+
+
+def test_a_signal_that_was_never_good_is_what_is_named_and_not_a_reset(canfb: Commands) -> None:
+    bench = turning(encoder=replace(random_encoder(1), amplitude_counts=200.0))
+    out, _ = canfb(bench, "why", NODE)
+    assert "position not valid, amplitude outside of its limits\n  a signal within 2001:03 to 2001:04" in out
+    assert "node reset" not in out
+    assert canfb(bench, "why", NODE, "--json").json["brings_back"] == []
+
+
+@each("rate_hz", [2.0, 5.0, 11.0])
+def test_a_slow_sync_is_seen(canfb: Commands, monkeypatch: pytest.MonkeyPatch, rate_hz: float) -> None:
+    monkeypatch.setattr(commissioning_kit, "RATE_HZ", rate_hz)
+    bench = turning(rpm=0.0)
+    bench.bus.run_until(5.0)
+    figures = canfb(bench, "why", NODE, "--json").json
+    assert figures["sample_hz"] == pytest.approx(rate_hz, abs=0.6)
+
+
+def test_a_loss_while_it_reads_is_that_of_one_time(canfb: Commands) -> None:
+    bench = turning(rpm=137.0)
+    for command in (b"\x80\x20", b"\x01\x20"):  # started again in motion: lost a few samples later
+        bench.bus.send(Frame(0x000, command))
+    out, _ = canfb(bench, "why", NODE)
+    assert "position lost" in out
+    assert "the machine moved during a pause" in out
 
 
 def test_a_module_of_before_keeps_no_cause(canfb: Commands) -> None:
@@ -175,6 +204,10 @@ def test_more_coasting_is_not_proposed_where_it_cannot_help() -> None:
 def test_each_cause_has_an_advice(cause: LossCause) -> None:
     lost = replace(LOST, loss=replace(LOST.loss, cause=cause))  # type: ignore[type-var]
     assert all(replace(lost, sample_hz=hz).would_have_kept() for hz in (0.0, 100.0))
+    for bit in (0, StatusBit.TABLE_ACTIVE):  # a table is proposed where none is active
+        said = "\n".join(replace(lost, status=lost.status | bit).would_have_kept())
+        assert said.count("canfb calibrate --check") == (cause in MOTION and bit > 0)
+        assert said.count("phase errors: canfb calibrate") == (cause in MOTION and bit == 0)
     assert cause.text in "\n".join(lost.lines())
     assert cause.text in PAGE
 

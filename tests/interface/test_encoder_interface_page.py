@@ -132,27 +132,22 @@ WRONG = {
     f"{ONE}  source: null\n": "3: 'source' must be a mapping with a kind, such as",
     f"{ONE}  {ADC}\n  residual_limit: 0.3\n": "4: unknown key 'residual_limit' in interfaces[0]",
     f"{ONE}  {ADC}\n  samples_per_sync: 9\n": "4: samples_per_sync must be a whole number 1..8, not 9",
-    f"interfaces: [{{node_id: 1, {ADC}, samples_per_sync: 2}}]": (
-        "1: interfaces[0]: samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not None"
-    ),
+    f"interfaces: [{{node_id: 1, {ADC}, samples_per_sync: 2}}]":
+        "1: interfaces[0]: samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not None",
     f"interfaces: [{{node_id: 128, {ADC}}}]": "1: node_id must be a whole number 1..127",
     f"interfaces: [{{node_id: 1, {ADC}, state_dir: 4}}]": "1: state_dir must be text, not 4",
     f"interfaces: [{{node_id: 1, {ADC}, times: 1}}]": "1: times must be true or false, not 1",
     BOTH.replace("0x10}", "0x10, samples_per_sync: 2}"): "2: times and samples_per_sync of modules[0] are",
     BOTH.replace("id: 0x10, s", "id: 0x20, s"): "4: node_id 32 of interfaces[0] is also that of modules[0]",
-    f"interfaces:\n- {{node_id: 16, {ADC}}}\n- {{node_id: 16, {ADC}}}\n": (
-        "3: node_id 16 of interfaces[1] is also that of interfaces[0]"
-    ),
-    f"modules: [{{node_id: 3, state_dir: x}}]\ninterfaces:\n- {{node_id: 16, {ADC}, state_dir: ./x}}\n": (
-        "3: state_dir of interfaces[0] is also that of modules[0]"
-    ),
-    f"interfaces:\n- {{node_id: 255, {ADC}}}\n- {{node_id: 255, {ADC}}}\n": (
-        "3: serial_number 0 of interfaces[1] is also that of interfaces[0]: LSS needs unique ones"
-    ),
-    f"interfaces: [{{node_id: 48, {ADC}}}]\nsimulation: {{drive: {{node_id: 48}}}}\n": (
-        "2: drive: node_id 48 is the node_id of interfaces[0]"
-    ),
-}
+    f"interfaces:\n- {{node_id: 16, {ADC}}}\n- {{node_id: 16, {ADC}}}\n":
+        "3: node_id 16 of interfaces[1] is also that of interfaces[0]",
+    f"modules: [{{node_id: 3, state_dir: x}}]\ninterfaces:\n- {{node_id: 16, {ADC}, state_dir: ./x}}\n":
+        "3: state_dir of interfaces[0] is also that of modules[0]",
+    f"interfaces:\n- {{node_id: 255, {ADC}}}\n- {{node_id: 255, {ADC}}}\n":
+        "3: serial_number 0 of interfaces[1] is also that of interfaces[0]: LSS needs unique ones",
+    f"interfaces: [{{node_id: 48, {ADC}}}]\nsimulation: {{drive: {{node_id: 48}}}}\n":
+        "2: drive: node_id 48 is the node_id of interfaces[0]",
+}  # fmt: skip
 
 
 @each("text", WRONG)

@@ -208,6 +208,9 @@ def test_a_drive_its_frames_and_its_torque(tmp_path: Path, command: Command) -> 
     found = command("plan --json", path).json
     assert {0x1B0, 0x2B0, 0xB0} <= {message["cob_id"] for message in found["bus"]["messages"]}
     assert found["modules"][0]["acceleration"]["stated_rad_s2"] == pytest.approx(510.0)
+    path = written(tmp_path, MODULES + "simulation: {motion: {rpm: 60, ramp_s: 0.001}}\n")
+    found = command("plan --rate 100 --json", path, code=1).json  # a step at 100 Hz: no less than its ramp
+    assert found["modules"][0]["acceleration"]["stated_rad_s2"] == pytest.approx(2000.0 * math.pi)
 
 
 def test_saved_parameters_go_before_the_configuration(tmp_path: Path, command: Command) -> None:

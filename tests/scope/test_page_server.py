@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import json
+import math
 import socket
 from collections.abc import Iterator
 from contextlib import closing
@@ -310,9 +311,11 @@ def test_a_page_gets_the_past_then_each_look_with_what_was_read() -> None:
             (layout,) = known_layouts(Config(), [NODE])
             page.know(ModuleReading(NODE, {}, layout, NO_CORRECTION))
             network.model.put(NODE, od.COUNTER_LOST, 4, network.bus.now)
+            network.model.put(NODE, od.FEEDBACK_VELOCITY, math.nan, network.bus.now + 0.2)
             network.run(0.2)
             page.show(network.model.snapshot(network.bus.now))
             look = told(events.get_nowait())["look"]
+    assert "NaN" not in json.dumps(look), "no JSON, and the page would stand still"
     (module,) = look["modules"]
     assert (module["node"], module["tone"]) == (NODE, "good")
     assert module["point"][0] == pytest.approx(1.2)

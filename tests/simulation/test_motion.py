@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import struct
 from pathlib import Path
 
@@ -126,12 +127,15 @@ LOST = "the module will lose the position"
 def test_a_motion_that_eq_10_does_not_allow_is_warned_of_with_a_rate_that_is_enough(
     rpm: float, standstill_s: float, ramp_s: float, rate_hz: float, rad_s2: float, warning: str | None
 ) -> None:
-    demand = of_motion(MotionConfig(rpm=rpm, standstill_s=standstill_s, ramp_s=ramp_s), MODULE, rate_hz)
+    motion = MotionConfig(rpm=rpm, standstill_s=standstill_s, ramp_s=ramp_s)
+    demand = of_motion(motion, MODULE, rate_hz)
     assert demand.allowed_rad_s2 == max_acceleration(N, rate_hz, MODULE.residual_limit)
     assert demand.acceleration_rad_s2 == pytest.approx(rad_s2)
     said = demand.warning()
     assert (said is None) == (warning is None)
     assert (warning or "") in (said or "")
+    for enough in re.findall(r"--rate to (\d+)", said or ""):
+        assert of_motion(motion, MODULE, float(enough)).warning() is None
 
 
 def test_a_motion_is_described() -> None:

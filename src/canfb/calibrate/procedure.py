@@ -20,7 +20,14 @@ from canfb.master.access import (
     Unchanged,
     as_real32,
 )
-from canfb.master.all_or_nothing import Guard, change, put_in_force, put_in_force_again, read_active
+from canfb.master.all_or_nothing import (
+    Guard,
+    change,
+    check_crc,
+    put_in_force,
+    put_in_force_again,
+    read_active,
+)
 from canfb.master.samples import TrackSamples, listening
 from canfb.master.session import CORNERS, read_corners
 from canfb.signal.front_end import Corners
@@ -82,6 +89,7 @@ def install(
             measured = put(measured)
         step("verifying on fresh samples")
         done.fresh = prove(measured)
+        check_crc(module, od.TABLE_ACTIVE_CRC, "active", measured.calibration.table.crc32)
         declared = module.read_known(od.SUPERVISION_PHASE_ERROR)
         if declared is not None:
             peak = done.fresh.peak if over is None else max(done.fresh.peak, over.peak_cycles)

@@ -251,9 +251,8 @@ def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | No
         adc_bits = fitting[0]
     full = 1 << int(adc_bits) - 1 if adc_bits in range(4, 17) else 0  # 0: nothing fits
     if low < -full or high > full - 1:
-        raise ValueError(
-            f"samples from {low:g} to {high:g} counts do not fit {adc_bits} bits: set adc_bits (4 to 16)"
-        )
+        do = "set adc_bits (4 to 16)" if low < 0.0 else "none is below zero: subtract mid-scale"
+        raise ValueError(f"samples from {low:g} to {high:g} counts do not fit {adc_bits} bits: {do}")
     return np.asarray((np.minimum(s, c) <= -full) | (np.maximum(s, c) >= full - 1), np.bool_)
 
 

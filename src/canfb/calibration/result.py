@@ -317,7 +317,8 @@ def judge(found: Calibration, loss: float = 1.0) -> Calibration:
         if found.change_rms > MOST_CHANGE_CYCLES:
             raise changed(f"tables of parts of the time differ by {found.change_rms:.1e} cycle rms")
         if found.uncertainty_rms > max(MAX_UNCERTAINTY_CYCLES, found.change_rms):
-            raise no_fit(f"the table would be uncertain by {found.uncertainty_rms:.1e} cycle rms", loss)
+            size, rms = len(found.table.entries), found.uncertainty_rms
+            raise no_fit(f"the table of {size} entries would be uncertain by {rms:.1e} cycle rms", loss)
     except CalibrationError as error:
         refused = replace(found, reason=Reason(error.reason))
         raise CalibrationError(str(error), error.reason, refused) from None

@@ -33,7 +33,7 @@ from canfb.master.machine_watch import (
     where_words,
 )
 from canfb.master.samples import UPLOAD_PART, TrackSamples, listen, record
-from canfb.master.session import KINDS, Session, SupervisionLimits, write_limits
+from canfb.master.session import KINDS, Session, SupervisionLimits, check_limits, write_limits
 from canfb.report import pictures
 from canfb.report.page import figure, gallery, page, section, table
 from canfb.rows import Findings, Result, Row, Section, those
@@ -229,7 +229,7 @@ def detection_words(done: Commissioned) -> str:
     return (
         f"Up to {new} bad samples in a row of any phase cannot falsify the cycle count unseen, {before} with "
         "the limits before; a single one is flagged if its phase is off by more than "
-        f"{done.deviation(done.new):.3g} cycle, {min(0.5, done.deviation(done.before)):.3g} before "
+        f"{min(0.5, done.deviation(done.new)):.3g} cycle, {min(0.5, done.deviation(done.before)):.3g} before "
         f"({bound})"
     )
 
@@ -360,6 +360,7 @@ def set_limits(
         write_limits(module, new)
         step("watching the machine with the new limits")
         watched()
+        check_limits(module, new)  # another master may have written
 
     return change(
         module,

@@ -8,7 +8,7 @@ from typing import Any
 
 from canfb import objects as od
 from canfb.master.access import NodeAccess
-from canfb.objects import LossCause, PositionState, StatusBit, fault_words, position_state
+from canfb.objects import LossCause, StatusBit, fault_words, position_state
 from canfb.rows import Result, Row, age_words, as_figures, as_lines, those
 from canfb.signal.limits import MOST_IN_A_ROW, cycles_per_interval_squared, kept_samples, max_acceleration
 from canfb.view.module_view import LIMIT_UNITS, LimitSettings, limit_settings, mapped_objects
@@ -55,8 +55,9 @@ def decoded(word: int) -> Result:
     return Result(as_figures(rows), as_lines(rows))
 
 
-RATE_S = 0.25  # over which the rate of the samples is measured
+RATE_S = 2.0  # over which the rate of the samples is measured: 1 Hz or more
 BAD_SIGNAL = StatusBit.AMPLITUDE | StatusBit.CLIPPED
+BAD_SIGNAL_ADVICE = "a signal within 2001:03 to 2001:04: watch it with canfb monitor, check the wiring"
 MOTION = (LossCause.CONTRADICTED, LossCause.JUMP, LossCause.UNDECIDED)
 NOT_DECLARED = (
     "2010:02 is 0, not declared: set it to the largest acceleration of the machine, rad/s², "
@@ -64,7 +65,6 @@ NOT_DECLARED = (
 )
 # What would have kept it, by cause: with sample times, without, in both cases.
 ADVICE: tuple[tuple[tuple[LossCause, ...], bool | None, str], ...] = (
-    (MOTION, None, "a correction table, which removes phase errors: canfb calibrate"),
     (
         (LossCause.TIME,),
         True,
@@ -170,20 +170,21 @@ class LostPosition:
         return Result(self.figures(), self.lines())
 
     def lines(self) -> list[str]:
-        state = od.position_state(self.status)
         now = those(
             (
                 not self.sample_hz,
                 "no samples are processed now: is it OPERATIONAL (canfb node start "
                 f"{self.node_id:#04x}), does SYNC come, does the encoder interface send?",
-            )
+            ),
+            (self.sample_hz and self.status & BAD_SIGNAL, BAD_SIGNAL_ADVICE),
         )
         parts = {
             "last loss": self.happened(),
-            "what brings it back": [] if state is PositionState.VALID else self.brings_back(),
+            "what brings it back": self.brings_back(),
             "what would have kept it": self.would_have_kept(),
         }
-        lines = [", ".join([f"{self.name}: position {state}", *od.fault_words(self.status)])]
+        position = f"{self.name}: position {od.position_state(self.status)}"
+        lines = [", ".join([position, *od.fault_words(self.status)])]
         lines += [f"  {text}" for text in now]
         for head, texts in parts.items():
             lines += [head, *(f"  {text}" for text in texts)] if texts else []
@@ -221,9 +222,11 @@ class LostPosition:
         return f"{cycles:.3g} cycles per interval, {rpm:.3g} rpm"
 
     def brings_back(self) -> list[str]:
-        node = f"{self.node_id:#04x}"
+        if not self.status & StatusBit.LOST:  # a reset would not help
+            return []
         return [
-            f"stand still, then canfb node reset {node}: the count begins at 0; reference the machine again",
+            f"stand still, then canfb node reset {self.node_id:#04x}: the count begins at 0; reference the "
+            "machine again",
             "coarse track: finds the speed, in motion too; the count if 2010:05 is below half a cycle"
             if self.coarse
             else "coarse track: not mapped (2000:03 and 2000:04 in an RPDO)",
@@ -252,12 +255,15 @@ class LostPosition:
                 doubtful and missed,
                 "fewer missed samples: docs/service.md, and the priority of SYNC and ADC PDO on the bus",
             ),
-            (
-                loss.faults & BAD_SIGNAL,
-                "a signal within 2001:03 to 2001:04: watch it with canfb monitor, check the wiring",
-            ),
+            (loss.faults & BAD_SIGNAL, BAD_SIGNAL_ADVICE),
             *(self._narrow(loss) if cause in MOTION or (residual and cause is not LossCause.PAUSE) else ()),
             (gentler, f"the motion must stay below {largest:.4g} rad/s²{rate}"),
+            (
+                cause in MOTION,
+                "a correction table of this encoder: canfb calibrate --check says whether the active one is"
+                if self.status & StatusBit.TABLE_ACTIVE
+                else "a correction table, which removes phase errors: canfb calibrate",
+            ),
             *((cause in causes and timed in (None, in_force.timed), text) for causes, timed, text in ADVICE),
         )
 
@@ -311,24 +317,24 @@ class LostPosition:
 
 
 def read_lost_position(module: NodeAccess) -> LostPosition:
-    """By SDO, in half a second. CommissioningError."""
+    """By SDO, in two seconds. CommissioningError."""
     master = module.master
+    missed = int(module.read_known(od.COUNTER_MISSED) or 0)
     began, first = master.now(), module.integer(*od.FEEDBACK_SAMPLES, "I")
-    status = module.integer(*od.FEEDBACK_STATUS, "H")
     mapped = mapped_objects(module.read_known)
     tolerance = module.read_known(od.SECOND_TOLERANCE) or 0.0
-    loss = _read_loss(module)
     master.wait(max(0.0, began + RATE_S - master.now()))
     samples = module.integer(*od.FEEDBACK_SAMPLES, "I") - first & 0xFFFFFFFF
-    sample_hz = samples / (master.now() - began) if samples > 1 else 0.0
+    passed_s = master.now() - began
+    came = samples > int(module.read_known(od.COUNTER_MISSED) or 0) - missed
     return LostPosition(
         module.node_id,
-        status,
-        loss,
+        module.integer(*od.FEEDBACK_STATUS, "H"),
+        _read_loss(module),
         losses=int(module.read_known(od.COUNTER_LOST) or 0),
         missed=int(module.read_known(od.COUNTER_MISSED) or 0),
         missed_syncs=int(module.read_known(od.COUNTER_SYNCS_NOT_HEARD) or 0),
-        sample_hz=sample_hz,
+        sample_hz=samples / passed_s if came else 0.0,
         coarse=od.SAMPLE_COARSE_SINE.mapped(16) in mapped and od.SAMPLE_COARSE_COSINE.mapped(16) in mapped,
         zero_pulse=od.SAMPLE_FLAGS.mapped(8) in mapped,
         second=od.SAMPLE_SECOND_POSITION.mapped(32) in mapped and tolerance > 0.0,

@@ -84,13 +84,13 @@ def put_in_force(module: NodeAccess, correction: Correction) -> None:
 
 def stage(module: NodeAccess, table: CorrectionTable) -> None:
     module.download_domain(*od.TABLE_STAGED, table.to_bytes())
-    _check_crc(module, od.TABLE_STAGED_CRC, "staged", table.crc32)
+    check_crc(module, od.TABLE_STAGED_CRC, "staged", table.crc32)
 
 
 def activate(module: NodeAccess, crc32: int) -> None:
     """The table with this CRC, with 2002h; 0: none."""
     module.write(*od.TABLE_ACTIVATE, "I", crc32)
-    _check_crc(module, od.TABLE_ACTIVE_CRC, "active", crc32)
+    check_crc(module, od.TABLE_ACTIVE_CRC, "active", crc32)
 
 
 def put_in_force_again(module: NodeAccess, before: Correction) -> None:
@@ -149,7 +149,7 @@ def write_conditioning(module: NodeAccess, conditioning: Conditioning) -> None:
         )
 
 
-def _check_crc(module: NodeAccess, place: od.Multiplexer, which: str, expected: int) -> None:
+def check_crc(module: NodeAccess, place: od.Multiplexer, which: str, expected: int) -> None:
     found = module.integer(*place, "I")
     if found != expected:
         raise CommissioningError(

@@ -122,7 +122,12 @@ def write_limits(module: NodeAccess, limits: Mapping[od.Multiplexer, float]) -> 
     for place in places:
         layout = KINDS[place].layout
         module.write(*place, layout, limits[place] if layout == "f" else int(limits[place]))
-    for place in places:
+    check_limits(module, limits)
+
+
+def check_limits(module: NodeAccess, limits: Mapping[od.Multiplexer, float]) -> None:
+    """CommissioningError for a difference."""
+    for place in limits:
         there = module.read(*place, KINDS[place].layout)
         if there != limits[place]:
             raise CommissioningError(

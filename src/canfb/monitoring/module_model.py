@@ -228,8 +228,8 @@ class ModuleModel:
         )
 
     def _measured_velocity(self, now: float) -> float | None:
-        measured = self._values.get(od.FEEDBACK_VELOCITY)
-        if measured is None or now - self._times[od.FEEDBACK_VELOCITY] > FRESH_S:
+        measured = self._values.get(od.FEEDBACK_VELOCITY, math.nan)
+        if not math.isfinite(measured) or now - self._times[od.FEEDBACK_VELOCITY] > FRESH_S:
             return None
         return -float(measured) if self.layout.reversed else float(measured)
 

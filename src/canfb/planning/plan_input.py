@@ -145,7 +145,7 @@ def _motion(
     demand = _demand(simulation, config, rate_hz)
     if demand is not None:
         speed = demand.speed_cycles * rate_hz / config.cycles_per_revolution * 2.0 * math.pi
-        acceleration, where = demand.acceleration_rad_s2, demand.what
+        acceleration, where = demand.followed.acceleration_rad_s2, demand.what
     if options.rpm is not None:
         speed = options.rpm / RPM
     is_final = options.acceleration_rad_s2 is not None

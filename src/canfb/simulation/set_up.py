@@ -10,6 +10,7 @@ import math
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from canfb.errors import ConfigError
 from canfb.interface.encoder_interface import EncoderInterface, TimeBase
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.limits import max_acceleration
+from canfb.signal.limits import ROUNDING, max_acceleration
 from canfb.signal.phase import FloatArray, phase_in_cycle
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant, PlantSource
@@ -52,8 +53,9 @@ class MotionDemand:
     acceleration_rad_s2   largest acceleration
     start_cycles          speed at the first sample, cycles per sample
     advice                what to change but the rate, empty for nothing
-    errors_cycles         part of the residual limit that the errors of the encoder need
+    errors_cycles         part of the residual limit for the errors of the encoder
     per_sync              samples for each SYNC
+    at                    the demand at another rate: a short ramp is steeper
     """
 
     what: str
@@ -65,6 +67,7 @@ class MotionDemand:
     advice: str = ""
     errors_cycles: float = 0.0
     per_sync: int = 1
+    at: Callable[[float], MotionDemand] | None = field(default=None, compare=False)
 
     @property
     def allowed_rad_s2(self) -> float:
@@ -82,7 +85,15 @@ class MotionDemand:
 
     @property
     def least_rate_hz(self) -> float:
-        return self.sync_hz * math.sqrt(self.asked)
+        followed = self.followed
+        return followed.rate_hz * math.sqrt(followed.asked) / self.per_sync
+
+    @property
+    def followed(self) -> MotionDemand:
+        """At the least rate at which the module follows it, if there is one."""
+        if self.at is None or not 1.0 + ROUNDING < self.asked < math.inf:
+            return self
+        return self.at(self.rate_hz * math.sqrt(self.asked)).followed
 
     @property
     def sync_hz(self) -> float:
@@ -140,6 +151,7 @@ def of_motion(motion: MotionConfig, module: ChainConfig, rate_hz: float) -> Moti
         start_cycles=abs(motion.rpm) * cycles if in_motion else 0.0,
         errors_cycles=4.0 * module.phase_error_cycles,
         advice="a longer ramp_s" if motion.rpm else "less ripple",
+        at=partial(of_motion, motion, module),
     )
 
 
@@ -227,8 +239,7 @@ class SampleRecorder(SimulatedDevice):
 class SlowMotion(SimulatedDevice, TimeBase):
     """A time base: one nominal interval with each SYNC, however late it is. Attach it before its nodes.
 
-    ``dictionary``, of the node that samples, says which frame is the SYNC and, in 1006h, how long the
-    interval is; ``interval_s`` counts while 1006h is 0.
+    ``dictionary`` of the node that samples: 1005h, and 1006h for the interval; ``interval_s`` while it is 0.
     """
 
     def __init__(self, dictionary: Dictionary, interval_s: float) -> None:
@@ -283,8 +294,8 @@ class Play:
 class SimulatedNetwork:
     """The devices, in the order in which they take frames.
 
-    demand     what the motion asks of the module, None where it is not known
-    recorder   what is sampled, where that is recorded
+    demand     what the motion asks of the module, None: not known
+    recorder   what is sampled, if recorded
     rate_hz    the nominal rate of the SYNC
     """
 
