@@ -34,6 +34,7 @@ from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer
 from canfb.simulation.encoder import Motion, Ramp, Ripple
 from canfb.simulation.set_up import source_of
 from commissioning_kit import CYCLES, RATE_HZ, Bench, EmbeddedMaster, random_encoder
+from folding import each
 
 
 @pytest.mark.parametrize(("seed", "conditioning"), [(0, "fit"), (1, "none"), (2, "fit"), (3, "none")])
@@ -329,9 +330,7 @@ def refused(bench: Bench) -> tuple[CalibrationError, float]:
     return error.value, bench.bus.now - began
 
 
-@pytest.mark.parametrize(
-    ("cycles", "words"), [(25.0, "a whole number"), (12.5, "n + 1/2"), (-12.5, "n + 1/2")]
-)
+@each("cycles, words", [(25.0, "a whole number"), (12.5, "n + 1/2"), (-12.5, "n + 1/2")])
 def test_a_lock_is_refused_after_a_second_with_a_speed_that_does(cycles: float, words: str) -> None:
     bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(0.5, cycles * RPM_OF_A_CYCLE))))
     bench.bus.run_until(1.5)

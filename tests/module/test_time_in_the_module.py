@@ -50,7 +50,7 @@ class Machine(Bench):
         self,
         stamped: bool = True,
         motion: Motion = lambda at: SPEED * at,
-        entries: dict[tuple[int, int], int] | None = None,
+        entries: dict[tuple[int, int], float] | None = None,
         times: bool = False,
         overflow: int = 0,
     ) -> None:
@@ -244,6 +244,18 @@ def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool, 
     machine.run(1, 100)
     play(machine, heard, 100)
     machine.run(100 + len(heard), 120 + len(heard))
+    assert machine.right()
+
+
+@given(st.floats(0.05, 0.25), st.integers(101, 106), st.floats(0.0, 0.4), st.floats(0.02, 0.4))
+@example(0.18, 102, 0.15, 0.05)
+def test_late_adc_pdos_while_it_gathers_speed(bend: float, k: int, early: float, left: float) -> None:
+    """One comes when that of the next SYNC is due, and the next before a third."""
+    machine = Machine(True, lambda at: bend * max(0.0, at - 100) ** 2 / 2, {(0x2010, 0x0D): 0.6 * PERIOD_S})
+    machine.run(1, k)
+    machine.give_all([(k, True, k), (k + 1 - early, True, k + 1), (k + 1 - early + ADC, False, k)])
+    machine.sample(k + 1, k + 2 - min(left, early + 0.7 - ADC))
+    machine.run(k + 2, k + 20)
     assert machine.right()
 
 

@@ -18,12 +18,12 @@ from canfb.module.objects.sample_input import NO_RPDO, LocalSource, SampleInput,
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain
+from canfb.signal.pauses import LARGEST_SLIP_CYCLES
 from canfb.signal.sample import TICK_S, Feedback, Sample
 from canfb.signal.supervision import VALID
 from canfb.timing.answers import Answers
 from canfb.timing.syncs import USUAL, Syncs, SyncVerdict
 
-COUNTER_OVERFLOW = 0x1019
 COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
 TOGETHER = 0.5  # of a period: parts of one sample; those of the next are as far from them
 CAME = -2  # in place of a number of an RPDO
@@ -60,7 +60,7 @@ class Pairing(ProcessData):
         self._prediction = publishing.prediction
         self._source, self._second, self._observers = source, second, observers
         self._input = sample_input
-        self._overflow = entry(COUNTER_OVERFLOW)
+        self._overflow = entry(*od.SYNC_OVERFLOW)
         self._bad_frames, self._duplicate_syncs, self._lost_syncs = (entry(*counter) for counter in COUNTERS)
         self._longest_answer = entry(*od.SUPERVISION_ANSWER_DELAY)
         self._longest_answer.on_written = self._answers_changed
@@ -329,6 +329,7 @@ class Pairing(ProcessData):
     def _judged(self, now: float) -> float | None:
         call, syncs, answers, chain = self._call, self.syncs, self.answers, self._chain
         place, parts = syncs.place, self._input
+        next_may_have_come = call.received >= syncs.grid.due - syncs.grid.allowed and chain.slips(1.0)
         if not self._synced:
             if answers.waits:  # it answers a SYNC before the start
                 return None
@@ -346,18 +347,18 @@ class Pairing(ProcessData):
                 self._off = max(self._off, syncs.grid.lead / syncs.grid.period)
             if answers.has_moved(syncs.grid):
                 self._lose_count(1.0, now)
-            elif later is None and self._next_may_have_come:
+            elif later is None and next_may_have_come:
                 self._publishing.withhold()  # it may answer a SYNC that was not received
             free = later is not None and place + later > self._accounted
             if not (free or answers.waits or chain.lost or chain.slips(1.0)):
                 later = 0  # at standstill it is the same
-            if later is None:
+            if later is None and place > self._accounted:
                 self.count_bad_frame()
                 return None
-            if later > 0:
+            if later and later > 0:
                 self._pass_lost(later, now)  # it may still come
                 self._ambiguous = call.received < syncs.grid.due - syncs.grid.period + syncs.grid.allowed
-            place += later
+            place += later or 0  # None: one more for a SYNC that has its sample
         elif syncs.grid.period:
             self._ambiguous = call.received >= syncs.grid.due
             soonest_s = self._came_s + (place - self._answered - 0.5) * syncs.grid.period
@@ -368,16 +369,13 @@ class Pairing(ProcessData):
             return self._answer(place)
         self.count_bad_frame()
         if place <= self._answered:  # more samples than SYNCs
-            if not (syncs.extra_came or self._stages.repeats(parts.sine.value, parts.cosine.value)):
+            counts = parts.sine.value, parts.cosine.value
+            if not (syncs.extra_came or self._stages.repeats(*counts)):
+                self._moves |= not self._stages.is_near(*counts, LARGEST_SLIP_CYCLES)
                 self._lose_count(1.0, now)
-            elif self._next_may_have_come:
+            elif next_may_have_come:
                 self._publishing.withhold()  # equal counts may be whole cycles further on
         return None
-
-    @property
-    def _next_may_have_come(self) -> bool:
-        grid = self.syncs.grid
-        return self._call.received >= grid.due - grid.allowed and self._chain.slips(1.0)
 
     def _answer(self, place: int) -> float:
         elapsed = place - self._accounted if self.sampled else 1

@@ -32,7 +32,6 @@ Values = Mapping[Place, Any]  # Objects of a node by index and sub-index.
 
 HEARTBEAT = (0x1017, 0)
 EMCY_COB_ID, EMCY_INHIBIT = (0x1014, 0), (0x1015, 0)
-SYNC_OVERFLOW = (0x1019, 0)
 EMCY_BYTES = 8
 MOST_EMCY_HZ = 2.0 / SHORTEST_S  # the alarm of the position and its end, again and again
 INHIBIT_S, TIMER_S = 1e-4, 1e-3  # units of sub-indices 3 and 5 of a TPDO, and of 1015h and 1017h
@@ -87,7 +86,7 @@ def sync_message(values: Values) -> Message:
     return Message(
         can_id=values.get(od.SYNC_COB_ID, cob.SYNC) & cob.CAN_ID,
         kind="SYNC",
-        data_bytes=1 if values.get(SYNC_OVERFLOW) else 0,
+        data_bytes=1 if values.get(od.SYNC_OVERFLOW) else 0,
         each_syncs=1,
     )
 

@@ -355,11 +355,9 @@ class Stages:
             if self.reference.zero.referenced:
                 self._status |= REFERENCED
 
-    def is_near(self, sine: float, cosine: float) -> bool:
-        """The phase is that of a machine that has stood since the last sample."""
-        return hypot(sine - self._sine, cosine - self._cosine) <= tau * speeds.STILL_CYCLES * hypot(
-            sine, cosine
-        )
+    def is_near(self, sine: float, cosine: float, cycles: float = speeds.STILL_CYCLES) -> bool:
+        """The phase is within ``cycles`` of the last; by default: the machine has stood."""
+        return hypot(sine - self._sine, cosine - self._cosine) <= tau * cycles * hypot(sine, cosine)
 
     def repeats(self, sine: float, cosine: float) -> bool:
         return sine == self._sine and cosine == self._cosine
