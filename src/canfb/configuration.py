@@ -318,7 +318,7 @@ def _check_distinct_nodes(name: str, root: yaml.Node, config: Config) -> None:
             said = f"encoder_interface {theirs.node_id} of {title} is the node_id of {other}"
             raise _config_error(name, line, said)
         asked, sent = ((one.times, one.samples_per_sync) for one in (mine, theirs))
-        if asked != sent and (mine.times or mine.samples_per_sync > theirs.samples_per_sync):
+        if asked != sent and (mine.times or mine.samples_per_sync not in (1, theirs.samples_per_sync)):
             said = f"times and samples_per_sync of {title} are not those of {other}, its interface"
             raise _config_error(name, line, said)
     for (other, theirs, _), (title, mine, line) in itertools.combinations(devices, 2):

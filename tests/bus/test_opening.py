@@ -45,9 +45,7 @@ WRONG: list[dict[str, Any]] = [
 
 
 @each("opening, options", [*((open_bus, options) for options in WRONG), (open_device_bus, NOWHERE)])
-def test_a_bus_that_there_is_not_gets_one_line(
-    opening: Callable[..., object], options: dict[str, Any]
-) -> None:
+def test_a_missing_bus_gets_one_line(opening: Callable[..., object], options: dict[str, Any]) -> None:
     with pytest.raises(BusError) as caught:
         opening(options)
     assert re.fullmatch(re.escape(f"cannot open the bus {describe(options)}: ") + ".+", str(caught.value))

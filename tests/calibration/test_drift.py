@@ -65,9 +65,7 @@ def test_it_is_exact_between_entries_too(calibration, first, second, size, shift
 
 
 @given(st.integers(0, 1 << 30), conditionings, conditionings, st.integers(256, 4096))
-def test_the_same_encoder_shows_no_drift_whatever_the_conditionings(
-    calibration, seed, active, fresh, n
-) -> None:
+def test_the_same_encoder_has_no_drift_whatever_the_conditioning(calibration, seed, active, fresh, n) -> None:
     encoder = random_encoder(np.random.default_rng(seed), 0.0)
     table = of_encoder(calibration, encoder, active, n).table
     found = drift(of_encoder(calibration, encoder, fresh), table, active)

@@ -190,9 +190,7 @@ def test_samples_in_a_flood_after_a_stall_do_not_multiply_their_errors() -> None
 
 
 @given(steps=st.lists(st.floats(0.01, 1.4), min_size=3, max_size=90), speed=st.floats(-30.0, 30.0))
-def test_the_motion_that_is_left_is_followed_with_the_bits_of_arrays(
-    steps: list[float], speed: float
-) -> None:
+def test_the_motion_that_is_left_is_followed_with_bits_of_arrays(steps: list[float], speed: float) -> None:
     time = np.cumsum(steps)
     phase = speed * time % 1.0
     found = positions(phase, time, True, NO_BREAKS)

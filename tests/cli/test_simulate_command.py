@@ -180,7 +180,7 @@ def test_a_move_is_followed_or_warned_of(per_sync: int, followed: str, held: boo
     assert demand is not None
     assert f"the module follows {followed}" in demand.describe()
     assert (demand.warning() is None) is held
-    assert demand.sync_hz == RATE_HZ
+    assert demand.rate_hz / demand.per_sync == RATE_HZ
     for device in (*network.devices, module):
         bus.attach(device)
     source = network.interface.source

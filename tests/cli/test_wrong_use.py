@@ -99,6 +99,7 @@ WRONG_USE = {
     "calibrate 0x10 --encoder-interface 16": "--encoder-interface 16: must differ from the node-ID",
     "calibrate --table x.yaml": "--table: only with --samples; over the bus the table is read",
     "calibrate --source module --method zero-crossings": "--source module: the module supports --method",
+    "calibrate --samples x.csv --columns a,a": "--columns a,a: two columns are required: sine,cosine",
     "calibrate --samples x.csv --columns a": "--columns a: two columns are required: sine,cosine",
     "calibrate --samples x.npz -c can0": "--channel: not with --samples",
     "calibrate --samples x.npz 3": "NODE: not with --samples",

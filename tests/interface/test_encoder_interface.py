@@ -118,6 +118,10 @@ def test_the_machine_is_sampled_at_the_true_time_of_each_sync() -> None:
             round(1000 * math.sin(angle)),
             round(1000 * math.cos(angle)),
         )
+    several = operational(source, samples_per_sync=2)
+    for now in (6.0, 6.001, 6.002, 7.0):  # no samples far apart, nor one of long ago
+        several.receive(SYNC, now)
+    assert source.position_cycles == pytest.approx(100.0 * (7.0 - 5.0 - 0.001 / 16))
 
 
 def test_each_sample_is_an_event_for_a_pdo_of_type_0() -> None:
@@ -184,7 +188,7 @@ def with_tpdo2(interface: EncoderInterface) -> EncoderInterface:
     [
         (False, FULL, struct.pack("<hh", 1, -2)),
         (True, FULL, struct.pack("<hhI", 1, -2, 5_001_000)),
-        (True, FULL._replace(time_100ns=77), struct.pack("<hhI", 1, -2, 77)),
+        (True, FULL._replace(time_100ns=2**32 + 77), struct.pack("<hhI", 1, -2, 77)),
     ],
 )
 def test_tpdo1_is_both_tracks_with_times_the_sample_time_and_nothing_else_goes_out(

@@ -138,6 +138,8 @@ WRONG = {
     f"interfaces: [{{node_id: 1, {ADC}, state_dir: 4}}]": "1: state_dir must be text, not 4",
     f"interfaces: [{{node_id: 1, {ADC}, times: 1}}]": "1: times must be true or false, not 1",
     BOTH.replace("0x10}", "0x10, samples_per_sync: 2}"): "2: times and samples_per_sync of modules[0] are",
+    BOTH.replace("0x10}", "0x10, samples_per_sync: 2}")
+    .replace(ADC, "source: {kind: motion}, samples_per_sync: 3"): "2: times and samples_per_sync of modules",
     BOTH.replace("id: 0x10, s", "id: 0x20, s"): "4: node_id 32 of interfaces[0] is also that of modules[0]",
     f"interfaces:\n- {{node_id: 16, {ADC}}}\n- {{node_id: 16, {ADC}}}\n":
         "3: node_id 16 of interfaces[1] is also that of interfaces[0]",

@@ -208,8 +208,9 @@ def test_a_trigger_is_fired_at_the_sync_and_its_scan_is_the_sample(opened: Opene
 def test_a_scan_that_comes_too_late_is_missed_and_not_taken_for_the_next(opened: Opened) -> None:
     server, source = opened(trigger="sysfstrig7", wait_us=200_000)
     assert source.next() is None
-    deliver(server, source, reading(1, 1, 0))
     server.adc.on_fire = lambda: server.deliver(reading(2049, 2050, 100))
+    assert source.next() is None, "what comes now may be the scan of the SYNC before"
+    deliver(server, source, reading(1, 1, 0))
     assert source.next() == sample(1, 2, 1)
 
 

@@ -66,9 +66,7 @@ def module_with(source: str) -> str:
     return f"modules:\n- {{node_id: 32, autostart: true, source: {source}}}"
 
 
-def test_positions_of_a_fired_adc_are_right_until_it_is_lost_and_found_again(
-    command: Any, iiod: Iiod
-) -> None:
+def test_positions_of_a_fired_adc_are_right_until_it_is_lost_and_found(command: Any, iiod: Iiod) -> None:
     server = iiod(EmulatedAdc())
     machine = turning(server)
     running = command(module_with(fired_by_sync(server)))

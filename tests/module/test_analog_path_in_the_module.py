@@ -72,7 +72,7 @@ def accelerating(top: float, acceleration: float = 0.1) -> Motion:
 
 
 @each("lag_s", [1.27e-6, -1e-6, 1e-4, 1.3e-3])
-@each("fields", [{}, {"times": True}])
+@each("fields", [{}, {"times": True}, {"times": True, "nominal_sync": True}])
 def test_the_position_is_that_of_the_sync(fields: dict[str, Any], lag_s: float) -> None:
     """Also while the machine accelerates, but for the interval in which that begins or ends."""
     used = Conditioning(delay_s=lag_s)

@@ -88,9 +88,7 @@ def test_files_are_for_everybody_and_have_no_secret(page: PageServer, path: str)
         ("http://evil.example/", {}, 403, "another host name"),
     ],
 )
-def test_what_is_refused(
-    page: PageServer, path: str, headers: dict[str, str], status: int, said: str
-) -> None:
+def test_it_is_refused(page: PageServer, path: str, headers: dict[str, str], status: int, said: str) -> None:
     known = {"token": page.token, "port": page.host.partition(":")[2]}
     filled = {name: value.format(**known) for name, value in headers.items()}
     got, content = answer(page, path.format(**known), **filled)

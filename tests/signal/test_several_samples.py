@@ -107,9 +107,7 @@ def test_with_too_few_samples_it_is_lost_and_says_so(per_sync: int) -> None:
 
 
 @given(per_sync=st.integers(2, 8), speed=st.floats(-300.0, 300.0), timed=st.booleans())
-def test_a_missed_interval_at_constant_speed_keeps_the_count(
-    per_sync: int, speed: float, timed: bool
-) -> None:
+def test_a_missed_interval_at_even_speed_keeps_the_count(per_sync: int, speed: float, timed: bool) -> None:
     """``timed``: sample times alone tell of it, while they do not yet say where in it the samples lie."""
     made = chain(per_sync, acceleration=0.01)  # up to four samples are missing
     made.restart(0, speed / per_sync)

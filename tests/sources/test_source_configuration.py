@@ -99,6 +99,7 @@ WRONG = {
     "{kind: motion, file: x}": "unknown key 'file' in source; known: kind, rate_hz",
     "{kind: recording, file: x, columns: a}": "source: columns must be two, [sine, cosine], not 'a'",
     "{kind: recording, file: x, columns: [a, b, c]}": "source: columns must be two",
+    "{kind: recording, file: x, columns: [a, a]}": "source: columns must be two, [sine, cosine], not ['a', ",
     "{kind: recording, file: x, columns: [a, [b]]}": "a part of 'columns' in source must be a single value",
     "{kind: recording, file: x, columns: [a, null]}": "source: columns must be a name or a number",
     "{kind: recording, file: x, gap_s: 0}": "source: gap_s must be more than 0, not 0",

@@ -60,8 +60,11 @@ def say_result(options: argparse.Namespace, result: Result) -> int:
 
 def measured_nodes(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
     """Ids of module and encoder interface, None if the module determines it. ConfigError if both are one."""
-    known = [(one.node_id, None if one.source else one.encoder_interface) for one in config.modules]
-    matching = (one for one in known if options.module in (None, one[0]))
+    matching = (
+        (one.node_id, None if one.source else one.encoder_interface)
+        for one in config.modules
+        if options.module in (None, one.node_id)
+    )
     module, interface = next(matching, (DEFAULT_MODULE, None))
     module = module if options.module is None else options.module
     interface = interface if options.encoder_interface is None else options.encoder_interface

@@ -126,10 +126,6 @@ class LostPosition:
     zero_pulse: bool
     second: bool
 
-    @property
-    def name(self) -> str:
-        return f"module {self.node_id} ({self.node_id:02X}h)"
-
     def figures(self) -> dict[str, Any]:
         loss = self.loss
         return {
@@ -183,7 +179,7 @@ class LostPosition:
             "what brings it back": self.brings_back(),
             "what would have kept it": self.would_have_kept(),
         }
-        position = f"{self.name}: position {od.position_state(self.status)}"
+        position = f"module {self.node_id} ({self.node_id:02X}h): position {od.position_state(self.status)}"
         lines = [", ".join([position, *od.fault_words(self.status)])]
         lines += [f"  {text}" for text in now]
         for head, texts in parts.items():

@@ -12,6 +12,7 @@ from canfb.sources.protocol import Capture, EvenScans, NewestScan, SourceError
 
 REOPEN_S = 1.0
 CLOSE_S = 5.0
+LATE_SYNCS = 2  # for so many a scan that did not come in time is waited for; then it is lost
 
 
 class CapturedSource:
@@ -39,6 +40,7 @@ class CapturedSource:
         self._picked = picked or NewestScan()
         self._trouble = ""
         self.scans = 0  # Scans that have come, those included that no SYNC took.
+        self._late = 0  # SYNCs that are left without a scan: what comes may be that of an earlier one
         self.adc_bits = self._capture.adc_bits  # Bits of a count.
         self.samples_per_sync = self._picked.per_sync  # Pairs of sine and cosine in a sample.
         self._stopping = threading.Event()
@@ -58,12 +60,15 @@ class CapturedSource:
             capture = self._capture
             if capture is not None and capture.is_fired:
                 self._picked.forget()  # what is of an earlier SYNC, and late
-                before = self.scans
+                if self._late:
+                    self._late -= 1
+                    return None
                 try:
                     capture.fire()
                 except OSError as error:
                     raise SourceError(f"the trigger cannot be fired: {reason(error)}") from error
-                self._changed.wait_for(lambda: self.scans != before or self._trouble, self._wait_s)
+                self._late = LATE_SYNCS  # until it comes
+                self._changed.wait_for(lambda: not self._late or self._trouble, self._wait_s)
             sample = self._picked.take()
             if sample is None and self._trouble:
                 raise SourceError(self._trouble)
@@ -88,6 +93,7 @@ class CapturedSource:
             with self._changed:
                 self._picked.came(scan)
                 self.scans += 1
+                self._late = 0
                 self._changed.notify()
 
     def _reopen(self) -> None:

@@ -97,11 +97,11 @@ class SyncSampler:
             return self._source.next() if self._machine is None else self._machine.sample_at(received_s)
         if self._machine is None:
             return _together([self._source.next() for _ in range(self._per_sync)], None)
-        last, self._last_s = self._last_s, received_s
+        last, self._last_s, rough_s = self._last_s, received_s, self._grid.rough
         self._grid.take(received_s)
         if last is None or not received_s > last:
             return None
-        period_s, lead_s = received_s - last, 0.0
+        period_s, lead_s = rough_s or received_s - last, 0.0  # a pause is no interval
         if self._grid.locked:
             period_s, lead_s = self._grid.period, self._grid.lead
         newest_s = min(received_s + lead_s - EARLIER_PART * period_s, received_s)

@@ -92,7 +92,7 @@ class Publishing:
         if profile.cams.follows and status & VALID:
             profile.cams.follow(position)
         if self.prediction.follows:
-            self.prediction.shift(feedback)
+            self.prediction.shift(feedback, cycles, phase)
         if not usual:
             self._alarm(feedback, now)
         if send:

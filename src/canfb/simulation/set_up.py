@@ -96,13 +96,9 @@ class MotionDemand:
         return self.at(self.rate_hz * math.sqrt(self.asked)).followed
 
     @property
-    def sync_hz(self) -> float:
-        return self.rate_hz / self.per_sync
-
-    @property
     def _at_rate(self) -> str:
         several = f" with {self.per_sync} samples for each SYNC" if self.per_sync > 1 else ""
-        return f"at {self.sync_hz:g} Hz{several}"
+        return f"at {self.rate_hz / self.per_sync:g} Hz{several}"
 
     def describe(self) -> str:
         return (

@@ -23,5 +23,6 @@ class MotionSourceConfig(SourceConfig):
         number_in("rate_hz", self.rate_hz, 0.1, 100_000.0)
 
     def open(self, surroundings: Surroundings) -> Source:
-        around = surroundings
-        return around.simulation().source(around.adc_bits, around.cycles_per_revolution, 1.0 / self.rate_hz)
+        return surroundings.simulation().source(
+            surroundings.adc_bits, surroundings.cycles_per_revolution, 1.0 / self.rate_hz
+        )

@@ -222,7 +222,12 @@ def _checked(sample: Sample) -> Sample:
         coarse_cosine = _counts("coarse_cosine", sample.coarse_cosine)
     earlier = tuple((_counts("sine", one), _counts("cosine", other)) for one, other in sample.earlier)
     return sample._replace(
-        sine=sine, cosine=cosine, coarse_sine=coarse_sine, coarse_cosine=coarse_cosine, earlier=earlier
+        sine=sine,
+        cosine=cosine,
+        coarse_sine=coarse_sine,
+        coarse_cosine=coarse_cosine,
+        time_100ns=None if sample.time_100ns is None else int(sample.time_100ns) % TICKS,
+        earlier=earlier,
     )
 
 

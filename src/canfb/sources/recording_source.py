@@ -69,7 +69,12 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         text("file", self.file)
-        if not isinstance(self.columns, Sequence) or isinstance(self.columns, str) or len(self.columns) != 2:
+        if (
+            not isinstance(self.columns, Sequence)
+            or isinstance(self.columns, str)
+            or len(self.columns) != 2
+            or self.columns[0] == self.columns[1]
+        ):
             raise ValueError(f"columns must be two, [sine, cosine], not {self.columns!r}")
         for name in self.columns:
             column("columns", name)
@@ -103,7 +108,7 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
 def chosen_layout(columns: str, mid_scale: float, scale: float, time_column: str | None) -> RecordingLayout:
     """The layout by the options of a command. ConfigError for one that cannot be."""
     names = [name.strip() for name in columns.split(",")]
-    if len(names) != 2:
+    if len(names) != 2 or names[0] == names[1]:
         raise ConfigError(f"--columns {columns}: two columns are required: sine,cosine")
     if not math.isfinite(mid_scale):
         raise ConfigError(f"--mid-scale {mid_scale:g}: must be a number")

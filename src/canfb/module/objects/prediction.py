@@ -65,14 +65,10 @@ class Prediction:
         self._speed_cycles = 0.0  # of the last valid sample
         self._valid_samples = 0  # in a row
 
-    def shift(self, last: Feedback) -> None:
+    def shift(self, last: Feedback, cycles: int, phase: float) -> None:
         if not last.status & VALID or not self._lock.locked:
             return
-        cycles, phase = ahead(
-            last.cycles,
-            last.phase,
-            last.speed_cycles * (self._intervals(self._lock.lead) + self._chain.tracks.lag_intervals),
-        )
+        cycles, phase = ahead(cycles, phase, last.speed_cycles * self._intervals(self._lock.lead))
         self._show(cycles, phase)
 
     def _show(self, cycles: int, phase: float) -> None:

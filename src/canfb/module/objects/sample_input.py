@@ -190,7 +190,7 @@ class LocalSource:
         if sample.time_100ns is not None:
             ticks = (sample.time_100ns - parts.time.value) % TICKS
             self.source_time_s = 0.0 if self.source_time_s is None else self.source_time_s + ticks * TICK_S
-            parts.time.value = sample.time_100ns % TICKS
+            parts.time.value = sample.time_100ns
         for (first, second), (sine, cosine) in zip(parts.all_earlier, sample.earlier, strict=False):
             first.value, second.value = sine, cosine
         if sample.coarse_sine is not None:
