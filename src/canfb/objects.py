@@ -41,7 +41,7 @@ def place_text(place: tuple[int, int]) -> str:
 DEVICE_TYPE: Final = Multiplexer(0x1000)
 SYNC_COB_ID: Final = Multiplexer(0x1005)
 CYCLE_PERIOD: Final = Multiplexer(0x1006)
-SYNC_OVERFLOW: Final = Multiplexer(0x1019)
+SYNCHRONOUS_COUNTER_OVERFLOW: Final = Multiplexer(0x1019)
 EMCY_COB_ID: Final = Multiplexer(0x1014)
 (
     IDENTITY_VENDOR_ID,

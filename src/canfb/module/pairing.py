@@ -60,7 +60,7 @@ class Pairing(ProcessData):
         self._prediction = publishing.prediction
         self._source, self._second, self._observers = source, second, observers
         self._input = sample_input
-        self._overflow = entry(*od.SYNC_OVERFLOW)
+        self._overflow = entry(*od.SYNCHRONOUS_COUNTER_OVERFLOW)
         self._bad_frames, self._duplicate_syncs, self._lost_syncs = (entry(*counter) for counter in COUNTERS)
         self._longest_answer = entry(*od.SUPERVISION_ANSWER_DELAY)
         self._longest_answer.on_written = self._answers_changed

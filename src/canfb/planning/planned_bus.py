@@ -86,7 +86,7 @@ def sync_message(values: Values) -> Message:
     return Message(
         can_id=values.get(od.SYNC_COB_ID, cob.SYNC) & cob.CAN_ID,
         kind="SYNC",
-        data_bytes=1 if values.get(od.SYNC_OVERFLOW) else 0,
+        data_bytes=1 if values.get(od.SYNCHRONOUS_COUNTER_OVERFLOW) else 0,
         each_syncs=1,
     )
 
