@@ -17,7 +17,7 @@ from tools.faults.wire.line import Line, Plan
 from tools.faults.wire.setups import Setup
 
 LATEST_HOST_S = 5e-3
-STAMP_NOISE_S = 1e-4
+STAMP_NOISE_S, STAMP_RIGHT_S = 1e-4, 1.05e-4  # of a step; of a time: 75 us (docs/time.md), and 30 us of noise
 STEP_PART = 0.55  # of the uniform noise: 1.9 standard deviations
 STEP_SYNCS = 64
 EARLY = 0.45  # T: a SYNC by its jitter, at most
@@ -29,8 +29,8 @@ def host_may_be_late(setup: Setup, interval_s: float) -> bool:
 
 
 def stamp_tolerance(setup: Setup, interval_s: float) -> float:
-    """How far a sample time may be off unseen, T: the noise of receive times, or the jitter of the SYNC."""
-    return min(0.45, (STAMP_NOISE_S if setup.stamps else LATEST_HOST_S) / interval_s)
+    """How far a sample time may be off unseen, T: by receive times, or by the jitter of the SYNC."""
+    return min(0.45, (STAMP_RIGHT_S if setup.stamps else LATEST_HOST_S) / interval_s)
 
 
 def step_note(plan: Plan, step: float) -> str:
