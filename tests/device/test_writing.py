@@ -124,9 +124,7 @@ def test_the_answer_comes_when_the_values_are_kept_or_not(
         *((0x000, bytes((command, 32))) for command in (0x02, 0x81, 0x82)),
     ],
 )
-def test_what_ends_the_transfer_does_not_end_the_save_and_gets_no_late_answer(
-    can_id: int, data: bytes
-) -> None:
+def test_what_ends_the_transfer_ends_no_save_and_gets_no_late_answer(can_id: int, data: bytes) -> None:
     machine = Machine()
     machine.send(struct.pack("<BHBH2x", 0x2B, 0x1017, 0, 500))
     assert machine.send(SAVE) == []

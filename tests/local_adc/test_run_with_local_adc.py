@@ -117,9 +117,7 @@ def test_a_source_that_is_not_there_ends_the_command(nodes: str, words: str, com
 NODE, ADC_PDO = 16, 0x190
 
 
-def test_a_converter_that_fails_is_told_by_the_interface(
-    iiod: Iiod, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_converter_that_fails_is_told_by_interface(iiod: Iiod, caplog: pytest.LogCaptureFixture) -> None:
     server = iiod(EmulatedAdc(fire_error=errno.EIO))
     server.adc.on_fire = lambda: server.deliver(reading(2048, 2048, 0))
     text = f"interfaces: [{{node_id: {NODE}, autostart: true, source: {fired_by_sync(server)}}}]"

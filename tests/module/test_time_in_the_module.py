@@ -259,6 +259,18 @@ def test_late_adc_pdos_while_it_gathers_speed(bend: float, k: int, early: float,
     assert machine.right()
 
 
+@given(st.integers(1, 9), st.floats(0.02, 0.1), st.floats(0.0, 8.0))
+@example(6, 0.0553, 0.86)
+def test_a_machine_that_begins_to_move_while_nobody_hears(gap: int, bend: float, begin: float) -> None:
+    """And the host is late: its sample times alone are later, as those of a clock that was set."""
+    machine = Machine(False, lambda at: bend * max(0.0, at - 99 - begin) ** 2 / 2, times=True)
+    machine.run(1, 100)
+    for n in range(100, 130):
+        machine.give_all([(n, True, n), (n + ADC, False, n + gap)])
+    del machine.positions[:-25]  # whole cycles at the first of them are not seen
+    assert machine.right()
+
+
 @given(st.lists(st.booleans(), max_size=30), st.integers(2, 40))
 @example([False] * 3, 20)
 @example([False] * 5, 20)

@@ -93,9 +93,7 @@ def changes() -> dict:
     "kind", ["missing 1", "missing 3", "gaps close together", "flagged 1", "flagged 2, 3"]
 )
 @pytest.mark.parametrize("later", [0, 1, 3])
-def test_a_change_of_limits_in_a_doubt_never_gives_a_wrong_position(
-    kind: str, change: str, later: int
-) -> None:
+def test_a_change_of_limits_in_doubt_never_gives_a_wrong_position(kind: str, change: str, later: int) -> None:
     before, after = changes()[change]
     for episode in episodes(KINDS[kind], Declared(0.1), 8):
         limits, at = after.limits, episode.fault + later

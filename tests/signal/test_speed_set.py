@@ -80,9 +80,7 @@ def started_at(shown: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize(("acceleration", "jitter"), [(0.01, 0.1), (0.05, 0.1), (0.01, 0.03), (0.05, 0.05)])
-def test_a_start_in_motion_is_never_valid_and_wrong_and_is_resolved(
-    acceleration: float, jitter: float
-) -> None:
+def test_a_start_in_motion_is_never_valid_and_wrong_but_resolved(acceleration: float, jitter: float) -> None:
     machine = declared(acceleration)
     generator = np.random.default_rng(3)
     samples = []

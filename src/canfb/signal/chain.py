@@ -300,10 +300,14 @@ class SignalChain:
     def _restarted(self, sample: Sample, least: float = 1.0) -> Feedback:
         """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
 
-        Its length is unknown: a machine that creeps may have gone on as long as the times say.
+        Its length is unknown: in doubt a machine moves; one that creeps may have, as long as the times say.
         """
         intervals = max(least, self.times.passed) if self._pauses.creeps else 1.0
-        lost = self.lose() if self.stages.estimator.undecided else self.uncertain(intervals)
+        lost = (
+            self.lose()
+            if self.stages.estimator.undecided or (self.stages.estimator.in_doubt and least < float("inf"))
+            else self.uncertain(intervals)
+        )
         self.times.waited = self._left_out = 0.0
         if self.lost:  # what its times say of the speed begins here
             self.stages.estimator.lose(LossCause.TIME, starts=False)
