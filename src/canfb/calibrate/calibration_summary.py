@@ -319,11 +319,15 @@ def verdict(measured: Measurement, where: Provenance) -> str:
         )
     factor = on_samples.before_rms / calibration.residual_rms if calibration.residual_rms > 0.0 else 0.0
     before, after = (f"{PERCENT * one:.2g} %" for one in (on_samples.before_rms, calibration.residual_rms))
-    is_noise = calibration.residual_rms < 2.0 * calibration.noise_cycles
+    rest = (
+        "; the rest is mostly noise of single samples"
+        if calibration.residual_rms < 2.0 * calibration.noise_cycles
+        else ""
+    )
     if factor > 1.5:
         change = (
-            f"The error within a cycle falls from {before} to {after} of a cycle rms, {factor:.0f} times less"
-            f"{'; the rest is mostly noise of single samples' * is_noise}."
+            f"The error within a cycle falls from {before} to {after} of a cycle rms, {factor:.0f} times "
+            f"less{rest}."
         )
     elif factor < 1.0 / 1.5:
         change = f"The previous table is better: {before} of a cycle rms, {after} now."

@@ -322,15 +322,15 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
     master.wait(max(0.0, began + RATE_S - master.now()))
     samples = module.integer(*od.FEEDBACK_SAMPLES, "I") - first & 0xFFFFFFFF
     passed_s = master.now() - began
-    came = samples > int(module.read_known(od.COUNTER_MISSED) or 0) - missed
+    missed_now = int(module.read_known(od.COUNTER_MISSED) or 0)
     return LostPosition(
         module.node_id,
         module.integer(*od.FEEDBACK_STATUS, "H"),
         _read_loss(module),
         losses=int(module.read_known(od.COUNTER_LOST) or 0),
-        missed=int(module.read_known(od.COUNTER_MISSED) or 0),
+        missed=missed_now,
         missed_syncs=int(module.read_known(od.COUNTER_SYNCS_NOT_HEARD) or 0),
-        sample_hz=samples / passed_s if came else 0.0,
+        sample_hz=samples / passed_s if samples > missed_now - missed else 0.0,
         coarse=od.SAMPLE_COARSE_SINE.mapped(16) in mapped and od.SAMPLE_COARSE_COSINE.mapped(16) in mapped,
         zero_pulse=od.SAMPLE_FLAGS.mapped(8) in mapped,
         second=od.SAMPLE_SECOND_POSITION.mapped(32) in mapped and tolerance > 0.0,
