@@ -122,9 +122,9 @@ class ModuleMachine(RuleBasedStateMachine):
         self._write(*FLAGS, 0)
 
     def _stop(self) -> None:
-        """Brake, and stand for long enough to end a loss; nothing is compared."""
+        """Brake, and stand for long enough to end a loss, also one of a doubt; nothing is compared."""
         self.target, standing = 0.0, 0
-        while standing < (STANDING if self.model.lost or self.is_beyond else AT_REST):
+        while standing < (STANDING if self.model.lost or self.model.motions or self.is_beyond else AT_REST):
             self._step()
             standing += self.speed == 0.0
             self._send(SYNC, b"", 0.0008)
