@@ -11,13 +11,15 @@ CanfbError
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 LONGEST_REASON = 300  # Characters: the messages of others quote what they were given, of any length.
 
 
 class CanfbError(Exception):
-    """Root of all errors of this package."""
+    """Root of our errors."""
 
 
 class CalibrationError(CanfbError):
@@ -42,8 +44,17 @@ class BusError(CanfbError):
     """A bus that cannot be opened or has failed permanently."""
 
 
+@contextlib.contextmanager
+def saying(refuse: type[Exception], what: str, *kinds: type[Exception]) -> Iterator[None]:
+    """``refuse``, of ``what`` and why, for these ``kinds`` within."""
+    try:
+        yield
+    except kinds as error:
+        raise refuse(f"{what}: {reason(error)}") from error
+
+
 def reason(error: Exception) -> str:
-    """One line of at most LONGEST_REASON characters: the message of another library or of the system."""
+    """What another library or the system says: one line, LONGEST_REASON at most."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     text = str(error).strip().splitlines()

@@ -9,15 +9,13 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from canfb.errors import CanfbError, ConfigError, reason
+from canfb.errors import CanfbError, ConfigError, saying
 
 
 def read_bytes(path: Path, refuse: type[Exception]) -> bytes:
-    """``refuse`` is raised, in one line."""
-    try:
+    """``refuse``, a line."""
+    with saying(refuse, f"{path}: cannot be read", OSError):
         return path.read_bytes()
-    except OSError as error:
-        raise refuse(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def decoded(data: bytes) -> str:
@@ -43,13 +41,9 @@ def check_writable(path: Path, option: str = "") -> None:
         raise ConfigError(f"{name}: cannot be written: Permission denied")
 
 
-@contextlib.contextmanager
-def writing(path: Path, option: str = "") -> Iterator[None]:
+def writing(path: Path, option: str = "") -> contextlib.AbstractContextManager[None]:
     """CanfbError, with the ``option``, for an OSError within."""
-    try:
-        yield
-    except OSError as error:
-        raise CanfbError(f"{option} {path}".strip() + f": cannot be written: {reason(error)}") from error
+    return saying(CanfbError, f"{option} {path}".strip() + ": cannot be written", OSError)
 
 
 def prepare_folder(folder: Path) -> None:

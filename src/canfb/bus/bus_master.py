@@ -13,7 +13,7 @@ from canopen.network import MessageListener
 
 from canfb.bus.sdo_channel import SharedClient, sdo_turn
 from canfb.cia301 import cob
-from canfb.errors import BusError, reason
+from canfb.errors import BusError, reason, saying
 
 OnFrame = Callable[[int, bytes, float], None]
 LOOK_S = 0.05  # how late a bus that has failed may be noticed
@@ -55,17 +55,13 @@ class BusMaster:
         self._network.unsubscribe(can_id, on_frame)
 
     def send(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        try:
+        with saying(BusError, "a frame could not be sent", can.CanError, OSError):
             self._network.send_message(can_id, data, remote)
-        except (can.CanError, OSError) as error:
-            raise BusError(f"a frame could not be sent: {reason(error)}") from error
 
     def produce_sync(self, rate_hz: float) -> None:
         message = can.Message(arbitration_id=cob.SYNC, is_extended_id=False)
-        try:
+        with saying(BusError, "the SYNC cannot be produced", can.CanError, OSError):
             self._syncs.append(self._bus.send_periodic(message, 1.0 / rate_hz))
-        except (can.CanError, OSError) as error:
-            raise BusError(f"the SYNC cannot be produced: {reason(error)}") from error
 
     def now(self) -> float:
         return time.monotonic()

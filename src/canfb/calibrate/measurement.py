@@ -29,7 +29,7 @@ from canfb.calibration.over_speeds import (
 )
 from canfb.calibration.path_fit import NO_PATH, PathFit
 from canfb.calibration.result import Calibration, Method, Reason, about_mean, naming_speed
-from canfb.errors import CalibrationError
+from canfb.errors import CalibrationError, saying
 from canfb.master.access import CommissioningError, Progress, as_real32
 from canfb.master.samples import TrackSamples
 from canfb.signal.chain import SignalChain
@@ -279,7 +279,7 @@ def measure(
             "2002:06 is set, and the delay between the tracks is removed behind offset and gain: "
             "--conditioning fit"
         )
-    try:
+    with saying(CommissioningError, "the samples cannot be used", ValueError):
         calibration = METHODS[settings.method](
             samples.sine,
             samples.cosine,
@@ -289,8 +289,6 @@ def measure(
             entries=settings.entries,
             progress=progress,
         )
-    except ValueError as error:
-        raise CommissioningError(f"the samples cannot be used: {error}") from error
     kept = calibration.conditioning.with_delays_of(before.conditioning)
     if samples.at_speed and conditioning is None:
         kept = without_harmonics(kept)

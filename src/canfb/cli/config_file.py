@@ -24,7 +24,7 @@ from canfb.cli.options import (
 from canfb.cli.printing import report
 from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.device.od.dcf import Reals
-from canfb.errors import ConfigError
+from canfb.errors import ConfigError, saying
 from canfb.files import check_writable
 from canfb.hosting.hosting import check_machine, saved_configuration
 from canfb.master.access import NodeAccess
@@ -178,7 +178,5 @@ def _chosen(config: Config, options: argparse.Namespace) -> ModuleConfig:
     if options.module is None and len(config.modules) > 1:
         there = ", ".join(f"{module.node_id} ({module.node_id:02X}h)" for module in config.modules)
         raise ConfigError(f"{options.config}: NODE is required, as there are several: {there}")
-    try:
+    with saying(ConfigError, options.config, ConfigError):
         return chosen_module(options, config)
-    except ConfigError as error:
-        raise ConfigError(f"{options.config}: {error}") from None

@@ -32,7 +32,7 @@ from canfb.cli.options import (
 )
 from canfb.cli.printing import Progress, say, shown_progress
 from canfb.configuration import changed_module, load_config
-from canfb.errors import ConfigError
+from canfb.errors import ConfigError, saying
 from canfb.files import check_writable
 from canfb.hosting.readiness import Readiness
 from canfb.logfile.bus_logs import BusLog, replacing_log
@@ -194,7 +194,7 @@ def settings_of(options: argparse.Namespace) -> ReplayOptions:
 
 
 def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
-    try:
+    with saying(ConfigError, "NODE, --encoder-interface", ValueError):
         if options.config is not None:
             config = load_config(options.config)
             modules = config.modules if options.module is None else [chosen_module(options, config)]
@@ -202,8 +202,6 @@ def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
             modules = [ModuleConfig(node_id=DEFAULT_MODULE if options.module is None else options.module)]
         given = {} if options.encoder_interface is None else {"encoder_interface": options.encoder_interface}
         modules = [replace(module, **given) for module in modules]
-    except ValueError as error:
-        raise ConfigError(f"NODE, --encoder-interface: {error}") from None
     return [changed_module(module, options.set) for module in modules]
 
 

@@ -27,7 +27,7 @@ from canfb.cli.options import (
 )
 from canfb.cli.printing import printed_without_waiting, say
 from canfb.configuration import Config, load_config
-from canfb.errors import ConfigError
+from canfb.errors import ConfigError, saying
 from canfb.files import check_writable, writing
 from canfb.hosting.readiness import Readiness
 from canfb.hosting.simulating import Simulating
@@ -141,10 +141,8 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
                 f"--{name}: the drive of the configuration moves the encoder; omit one of the two"
             )
     if options.rpm is not None:
-        try:
+        with saying(ConfigError, f"--rpm {options.rpm:g}", ValueError):
             simulation = replace(simulation, motion=replace(simulation.motion, rpm=options.rpm))
-        except ValueError as error:
-            raise ConfigError(f"--rpm {options.rpm:g}: {error}") from None
     if options.samples is not None and options.samples.lower().endswith(".npz"):
         refuse_idle(options, OF_CSV, f"only for CSV, not for {options.samples}")
     layout = chosen_layout(options.columns, options.mid_scale, options.scale, options.time_column)

@@ -17,7 +17,7 @@ from canfb.bus.runner import DeviceFailure
 from canfb.configuration import Config, NodeConfig, RealtimeConfig, line_of
 from canfb.device.node import Device
 from canfb.device.storage.kept import ParameterGroup
-from canfb.errors import CanfbError, ConfigError
+from canfb.errors import CanfbError, ConfigError, saying
 from canfb.hosting.captured_source import CapturedSource
 from canfb.hosting.event_log import (
     EventLog,
@@ -236,10 +236,8 @@ def open_source(
     )
     source = settings.open(around)
     if isinstance(source, Converter):
-        try:
+        with saying(ConfigError, f"with {source.adc_bits} bits of {settings.title}", ValueError):
             config = replace(config, adc_bits=source.adc_bits)
-        except ValueError as error:
-            raise ConfigError(f"with {source.adc_bits} bits of {settings.title}: {error}") from None
     return config, source
 
 

@@ -10,7 +10,7 @@ import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from canfb.errors import CanfbError, ConfigError
+from canfb.errors import CanfbError, ConfigError, saying
 from canfb.files import replacing
 
 log = logging.getLogger(__name__)
@@ -51,11 +51,11 @@ class Readiness:
     def ready(self) -> None:
         """On the bus. CanfbError if the file cannot be written."""
         if self._path is not None:
-            try:
-                with replacing(self._path) as unfinished:  # whole as soon as it is found
-                    unfinished.write_text(f"{os.getpid()}\n")
-            except OSError as error:
-                raise CanfbError(f"--ready-file {self._path}: {error.strerror}") from error
+            with (
+                saying(CanfbError, f"--ready-file {self._path}", OSError),
+                replacing(self._path) as unfinished,  # whole as soon as it is found
+            ):
+                unfinished.write_text(f"{os.getpid()}\n")
         self._notify(READY)
 
     def alive(self, now: float) -> None:
@@ -86,7 +86,7 @@ def _watchdog_s(environment: Mapping[str, str]) -> float:
 
 def _clear(path: Path) -> None:
     """Remove what a killed program has left; the file of a running one stays until this one is ready."""
-    try:
+    with saying(ConfigError, f"--ready-file {path}", OSError):
         if path.exists() or path.is_symlink():
             process = _process_of(path)
             if process is None:
@@ -98,8 +98,6 @@ def _clear(path: Path) -> None:
         elif not os.access(path.parent, os.W_OK):
             os.stat(path.parent)  # says so if it is not there
             raise ConfigError(f"--ready-file {path}: Permission denied")
-    except OSError as error:
-        raise ConfigError(f"--ready-file {path}: {error.strerror}") from None
 
 
 def _process_of(path: Path) -> int | None:

@@ -22,7 +22,7 @@ from typing import Self
 from canfb.bus.sdo_channel import lock_file
 from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import PARAMETERS, Changes, Store
-from canfb.errors import CanfbError
+from canfb.errors import CanfbError, saying
 
 LARGEST_FILE = 1 << 20  # bytes; stored parameters are some ten thousand
 PENDING = "pending.bin"
@@ -47,13 +47,11 @@ class StateFiles:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        try:
+        with saying(StateDirError, f"state_dir {self.folder} cannot be used", OSError):
             if not self.folder.is_dir():
                 os.makedirs(self.folder)
                 _sync_folder(self.folder.parent)
             self._lock = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
-        except OSError as error:
-            raise StateDirError(f"state_dir {self.folder} cannot be used: {error.strerror}") from None
         try:
             lock_file(self._lock)
         except OSError as error:

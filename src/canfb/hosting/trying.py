@@ -23,7 +23,7 @@ from canfb.bus.opening import MULTICAST, group_port, open_device_bus
 from canfb.bus.shared_bus import beside
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.configuration import Config
-from canfb.errors import BusError, reason
+from canfb.errors import BusError, saying
 from canfb.hosting.event_log import EventLog
 from canfb.hosting.hosting import make_module
 from canfb.simulation.embedded_bus import EmbeddedBus
@@ -113,7 +113,7 @@ class NetworkOnBus:
 
     def _run(self) -> None:
         network, step_s, due = self._network, 1.0 / self._rate_hz, time.monotonic()
-        try:
+        with saying(BusError, BUS_FAILS, can.CanError, OSError):
             while not self._stopped.is_set():
                 self._receive(max(0.0, due - time.monotonic()))
                 now = time.monotonic()
@@ -121,8 +121,6 @@ class NetworkOnBus:
                     network.run_until(network.now + step_s)
                     due = max(due + step_s, now - LONGEST_LAG_S)
                     self._events.tick(network.now)
-        except (can.CanError, OSError) as error:
-            raise BusError(f"{BUS_FAILS}: {reason(error)}") from error
 
     def _receive(self, wait_s: float) -> None:
         received = self._bus.receive(wait_s)

@@ -29,7 +29,7 @@ from can.io import MESSAGE_WRITERS
 
 from canfb.bus.frame_bus import ERROR, MULTICAST, Reception, brings_own_frames_back, flagged_id
 from canfb.cia301.frame import HIGHEST_ID, Frame
-from canfb.errors import CanfbError, ConfigError, reason
+from canfb.errors import CanfbError, ConfigError, reason, saying
 from canfb.files import check_writable, replacing, writing
 from canfb.logfile.log_files import (
     GZIP,
@@ -243,11 +243,8 @@ class BusLogFile:
 
     def __post_init__(self) -> None:
         self.suffix = check_suffix(self.path, READABLE)
-        try:
-            with self.path.open("rb") as file:
-                self._bytes = max(1, file.seek(0, 2))
-        except OSError as error:
-            raise LogError(f"{self.path}: cannot be read: {reason(error)}") from None
+        with saying(LogError, f"{self.path}: cannot be read", OSError), self.path.open("rb") as file:
+            self._bytes = max(1, file.seek(0, 2))
 
     @property
     def part_read(self) -> float:

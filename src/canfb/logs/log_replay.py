@@ -25,7 +25,7 @@ import numpy as np
 
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
-from canfb.errors import CanfbError, ConfigError, reason
+from canfb.errors import CanfbError, ConfigError, reason, saying
 from canfb.files import check_writable, replacing, writing
 from canfb.hosting.state_files import SavedParameters
 from canfb.logfile.bus_logs import BusLogFile
@@ -436,12 +436,11 @@ def do_work(
 def _table(out: Path) -> list[LogRow]:
     if not out.exists():
         return []
-    try:
+    said = f"--out {out}: is there already, and is no table"
+    with saying(CanfbError, said, OSError, ValueError):  # pyarrow's errors are of these kinds
         rows: list[LogRow] = _pyarrow()[1].read_table(str(out)).to_pylist()
-    except (OSError, ValueError) as error:  # pyarrow's errors are of these kinds
-        raise CanfbError(f"--out {out}: is there already, and is no table: {reason(error)}") from None
     if rows and not COLUMNS.keys() <= rows[0].keys():
-        raise CanfbError(f"--out {out}: is there already, and is no table of logs; take another name")
+        raise CanfbError(f"{said} of logs; take another name")
     return rows
 
 

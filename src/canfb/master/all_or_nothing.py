@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode
-from canfb.errors import CanfbError
+from canfb.errors import CanfbError, saying
 from canfb.master.access import (
     CommissioningError,
     NodeAccess,
@@ -38,10 +38,8 @@ def read_active(module: NodeAccess) -> Correction:
     conditioning = active_conditioning(module)
     if crc32 == 0:
         return Correction(None, conditioning)
-    try:
+    with saying(CommissioningError, f"{module.name}: 2020:01 is not a correction table", ValueError):
         table = CorrectionTable.from_bytes(module.upload_domain(*od.TABLE_STAGED))
-    except ValueError as error:
-        raise CommissioningError(f"{module.name}: 2020:01 is not a correction table: {error}") from None
     if table.crc32 != crc32:
         raise CommissioningError(
             f"{module.name}: the table read has CRC {table.crc32:08X}h, the active table {crc32:08X}h"
@@ -55,10 +53,10 @@ def active_conditioning(module: NodeAccess) -> Conditioning:
         data = module.read_bytes(*od.TABLE_ACTIVE_CONDITIONING)
     except ObjectAbsentError:
         return read_conditioning(module)
-    try:
+    with saying(
+        CommissioningError, f"{module.name}: conditioning (2020:07) cannot be used", struct.error, ValueError
+    ):
         return Conditioning(*struct.unpack(f"<{len(od.CONDITIONING)}f", data))
-    except (struct.error, ValueError) as error:
-        raise CommissioningError(f"{module.name}: conditioning (2020:07) cannot be used: {error}") from None
 
 
 def read_conditioning(module: NodeAccess) -> Conditioning:

@@ -20,7 +20,7 @@ from socketserver import ThreadingTCPServer
 from typing import Any
 from urllib.parse import urlsplit
 
-from canfb.errors import CanfbError, reason
+from canfb.errors import CanfbError, saying
 from canfb.monitoring import lines
 from canfb.monitoring.layout import ModuleReading
 from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
@@ -76,10 +76,8 @@ class PageServer:
         self._first = first
         self._viewers: list[Events] = []
         self._lock = threading.Lock()
-        try:
+        with saying(CanfbError, f"cannot listen at {LOOPBACK}:{port}", OSError, OverflowError):
             self._server = _Server((LOOPBACK, port), self)
-        except (OSError, OverflowError) as error:
-            raise CanfbError(f"cannot listen at {LOOPBACK}:{port}: {reason(error)}") from None
         bound = self._server.server_address[1]
         self.host = LOOPBACK if bound == HTTP_PORT else f"{LOOPBACK}:{bound}"
         self.address = f"http://{self.host}/#{self.token}"

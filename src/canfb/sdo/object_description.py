@@ -13,7 +13,7 @@ from typing import Any
 from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.device.od import eds
-from canfb.errors import ConfigError
+from canfb.errors import ConfigError, saying
 from canfb.files import read_bytes
 from canfb.master.access import CommissioningError
 from canfb.rows import listed
@@ -75,11 +75,9 @@ class ObjectDescriptions:
     def __init__(self, path: Path, node_id: int) -> None:
         self.path = path
         content = read_bytes(path, CommissioningError)
-        try:
+        with saying(CommissioningError, str(path), ValueError):
             described = eds.content_described(content)
             self._entries = _described(content, node_id)
-        except ValueError as error:
-            raise CommissioningError(f"{path}: {error}") from None
         if not self._entries:
             raise CommissioningError(f"{path}: not an EDS: it has no object")
         self.product = described.product_name or path.name

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.checks import flag, integer_in, number, text
-from canfb.errors import CanfbError, ConfigError
+from canfb.errors import CanfbError, ConfigError, saying
 from canfb.signal.phase import FloatArray, goes_round_off_zero
 from canfb.signal.sample import TICK_S, Sample
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, Surroundings, column
@@ -96,10 +96,8 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
             raise ValueError(f"{', '.join(idle)}: only for CSV, not for {self.file}")
 
     def check_machine(self) -> None:
-        try:
+        with saying(ConfigError, f"file {Path(self.file)} of source cannot be read", OSError):
             Path(self.file).open("rb").close()
-        except OSError as error:
-            raise ConfigError(f"file {Path(self.file)} of source cannot be read: {error.strerror}") from None
 
     def open(self, surroundings: Surroundings) -> Source:
         return open_recording(self.file, self)

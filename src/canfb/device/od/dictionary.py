@@ -11,6 +11,7 @@ from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od import eds
 from canfb.device.od.eds import ACCESS, Description, ObjectInfo
+from canfb.errors import saying
 
 READABLE = frozenset({"ro", "rw", "rwr", "rww", "const"})
 WRITABLE = frozenset({"wo", "rw", "rwr", "rww"})
@@ -217,11 +218,9 @@ class Dictionary:
         if not (1 <= node_id <= 127 or node_id == 255):
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
         content = Path(path).read_bytes()
-        try:
+        with saying(ValueError, str(path), ValueError):
             described = eds.content_described(content)
             template = _template(content, node_id)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
         dictionary = cls([entry.fresh() for entry in template], described.objects, described.dummies)
         stored = dictionary.find(STORE_EDS)
         if stored is not None and stored.data_type == datatypes.DataType.DOMAIN:
@@ -292,7 +291,7 @@ def _template(content: bytes, node_id: int) -> tuple[Entry, ...]:
 def _entry(described: Description, node_id: int) -> Entry:
     default = described.value_of("DefaultValue", described.default, node_id)
     low, high = described.limits(node_id)
-    try:
+    with saying(ValueError, f"[{described.section}]", ValueError, SdoAbort):
         entry = Entry(
             described.index,
             described.subindex,
@@ -308,6 +307,4 @@ def _entry(described: Description, node_id: int) -> Entry:
         entry.encode()
         if entry.default is not None:
             entry.check_limits(entry.default)
-    except (ValueError, SdoAbort) as error:
-        raise ValueError(f"[{described.section}]: {error}") from error
     return entry

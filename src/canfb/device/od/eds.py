@@ -19,6 +19,7 @@ from typing import Any
 
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
+from canfb.errors import saying
 
 Contents = dict[str, dict[str, str]]  # The keys of a file and their texts, by section.
 
@@ -77,10 +78,8 @@ class Description:
         return self.value_of("LowLimit", self.low, node_id), self.value_of("HighLimit", self.high, node_id)
 
     def value_of(self, key: str, text: str, node_id: int) -> Any:
-        try:
+        with saying(ValueError, f"[{self.section}] {key}", ValueError):
             return number(text, self.data_type, node_id)
-        except ValueError as error:
-            raise ValueError(f"[{self.section}] {key}: {error}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,10 +123,8 @@ _SPELLING = {
 
 def read(path: Path) -> Contents:
     """The sections of the file, completed. OSError, ValueError when it is not an EDS."""
-    try:
+    with saying(ValueError, str(path), ValueError):
         return parse(path.read_bytes())
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def parse(content: bytes) -> Contents:
@@ -313,10 +310,8 @@ def _real(text: str, data_type: int) -> float:
 
 def _option_number(contents: Contents, section: str, option: str) -> int | None:
     text = contents.get(section, {}).get(option, "").strip()
-    try:
+    with saying(ValueError, f"[{section}] {option}", ValueError):
         return whole(text) if text else None
-    except ValueError as error:
-        raise ValueError(f"[{section}] {option}: {error}") from None
 
 
 def _kind(contents: Contents, section: str) -> ObjectKind:
