@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
 LARGEST = sys.float_info.max  # Beyond it are infinity, and whole numbers that are no float.
 
@@ -17,18 +18,6 @@ def number_in(name: str, value: object, low: float, high: float) -> None:
     """ValueError unless ``value`` is a number low..high; NaN is refused."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise ValueError(f"{name} must be a number {low:g}..{high:g}, not {value!r}")
-
-
-def within(config: object, **ranges: tuple[float, float]) -> None:
-    """Each of these attributes is in its range, one of whole numbers too; or None, if that is its default."""
-    for name, (low, high) in ranges.items():
-        value = getattr(config, name)
-        if value is None and getattr(type(config), name, 0) is None:
-            continue
-        if isinstance(low, int) and isinstance(high, int):
-            integer_in(name, value, low, high)
-        else:
-            number_in(name, value, low, high)
 
 
 def number(name: str, value: object) -> None:
@@ -47,3 +36,20 @@ def text(name: str, value: object) -> None:
     """ValueError unless ``value`` is a string with more than blanks, and without a NUL."""
     if not isinstance(value, str) or not value.strip() or "\0" in value:
         raise ValueError(f"{name} must be text, not {value!r}")
+
+
+KINDS: dict[type, Callable[[str, object], None]] = {bool: flag, str: text, float: number}
+
+
+def within(config: object, **allowed: tuple[float, float] | type) -> None:
+    """Each attribute is in its range, one of whole numbers too, or of :data:`KINDS`; or its default None."""
+    for name, one in allowed.items():
+        value = getattr(config, name)
+        if value is None and getattr(type(config), name, 0) is None:
+            continue
+        if isinstance(one, type):
+            KINDS[one](name, value)
+        elif isinstance(one[0], int) and isinstance(one[1], int):
+            integer_in(name, value, one[0], one[1])
+        else:
+            number_in(name, value, *one)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from canfb.checks import flag, within
+from canfb.checks import within
 from canfb.errors import ConfigError
 from canfb.files import read_bytes
 from canfb.interface.encoder_interface import InterfaceConfig
@@ -53,9 +53,7 @@ class RealtimeConfig:
     busy_poll: bool = False
 
     def __post_init__(self) -> None:
-        within(self, priority=(0, 99), cpu=(0, 65535))
-        flag("lock_memory", self.lock_memory)
-        flag("busy_poll", self.busy_poll)
+        within(self, priority=(0, 99), cpu=(0, 65535), lock_memory=bool, busy_poll=bool)
         if self.busy_poll and self.cpu is None:
             raise ValueError("busy_poll needs a processor of its own: set cpu, for example cpu: 3")
         if self.busy_poll and self.priority:

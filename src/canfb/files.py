@@ -78,9 +78,9 @@ def write_whole(path: Path, data: bytes) -> None:
     with writing(path):
         if path.exists() and not path.is_file():
             path.write_bytes(data)
-            return
-        with replacing(path) as part:
-            part.write_bytes(data)
+        else:
+            with replacing(path) as part:
+                part.write_bytes(data)
 
 
 def _umask() -> int:

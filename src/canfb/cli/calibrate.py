@@ -217,8 +217,8 @@ def _said(
 
 
 def choices_of(options: argparse.Namespace) -> CalibrateOptions:
-    names = [field.name for field in fields(CalibrateOptions) if hasattr(options, field.name)]
-    choices = CalibrateOptions(**{name: getattr(options, name) for name in names})
+    names = (field.name for field in fields(CalibrateOptions))
+    choices = CalibrateOptions(**{name: getattr(options, name) for name in names if hasattr(options, name)})
     if choices.samples is not None and choices.samples.suffix.lower() == ".npz":
         refuse_idle(options, OF_CSV, f"only for CSV, not for {choices.samples.name}")
     return choices

@@ -166,8 +166,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.node is None:
         refuse_idle(options, ["timeout", "config"], "only with NODE alone, which is read over the bus")
         options.config = options.subject
-    plain = options.name.isascii() and options.name.isprintable() and ";" not in options.name
-    if not plain:
+    if not options.name.isascii() or not options.name.isprintable() or ";" in options.name:
         raise ConfigError(f"--name {options.name!r}: must be printable ASCII without ';'")
     for name, path in (("--out", options.out), ("--concise", options.concise)):  # before one is written
         if path is not None:

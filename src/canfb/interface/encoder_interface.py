@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb import objects as od
-from canfb.checks import flag, integer_in, number_in, text, within
+from canfb.checks import integer_in, number_in, within
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.core import FOLLOWED, IGNORED, HeldRpdo
@@ -409,8 +409,7 @@ class InterfaceConfig:
             samples_per_sync=(1, MOST_PER_SYNC - bool(self.times)),
             adc_bits=(4, 16),
             cycles_per_revolution=(1, 1048576),
+            state_dir=str,
+            times=bool,
+            autostart=bool,
         )
-        if self.state_dir is not None:
-            text("state_dir", self.state_dir)
-        for name in ("times", "autostart"):
-            flag(name, getattr(self, name))

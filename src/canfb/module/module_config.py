@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from canfb.checks import flag, integer_in, within
+from canfb.checks import integer_in, within
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.objects import WriteLockMode
 from canfb.signal.chain_config import ChainConfig
@@ -124,6 +124,9 @@ class ModuleConfig(ChainConfig):
             sync_timeout_periods=(2, 255),
             answer_delay_s=(0.0, MOST_DECLARED_S),
             max_acceleration_rad_s2=(0.0, MOST_ACCELERATION_RAD_S2),
+            times=bool,
+            nominal_sync=bool,
+            autostart=bool,
         )
         source, second = self.source, self.second_position
         if source is not None and not isinstance(source, SourceConfig):
@@ -142,8 +145,6 @@ class ModuleConfig(ChainConfig):
                 raise ValueError(f"{name} belongs to a chain without a bus: {instead}")
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
-        for name in ("times", "nominal_sync", "autostart"):
-            flag(name, getattr(self, name))
         if self.write_lock not in WRITE_LOCKS:
             raise ValueError(f"write_lock must be none, preop or code, not {self.write_lock!r}")
         if self.write_lock == "code" and not self.unlock_code:

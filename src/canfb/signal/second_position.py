@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from canfb.checks import flag, within
+from canfb.checks import within
 
 if TYPE_CHECKING:
     from canfb.signal.witness.witness import Pair
@@ -47,9 +47,9 @@ class SecondSensor:
             increments=(1, U32),
             revolutions=(1, U32),
             tolerance_revolutions=(0.0, MOST_TOLERANCE_REVOLUTIONS),
+            reversed=bool,
+            invalidates=bool,
         )
-        flag("reversed", self.reversed)
-        flag("invalidates", self.invalidates)
 
 
 class SecondScale:

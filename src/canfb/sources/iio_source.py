@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from canfb.checks import flag, number, text, within
+from canfb.checks import within
 from canfb.errors import BusError, CanfbError, ConfigError, reason
 from canfb.signal.sample import MOST_PER_SYNC, Sample
 from canfb.sources.protocol import (
@@ -199,17 +199,15 @@ class IioSourceConfig(SourceConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("device", "sine", "cosine", "uri", *(["trigger"] if self.trigger is not None else [])):
-            text(name, getattr(self, name))
-        if not self.uri.isascii():
-            raise ValueError(f"uri must be such as local: or ip:192.168.2.1, not {self.uri!r}")
-        if self.sine == self.cosine:
-            raise ValueError(f"cosine must differ from sine, {self.sine!r}")
-        if self.mid_scale is not None:
-            number("mid_scale", self.mid_scale)
-        flag("time_stamps", self.time_stamps)
         within(
             self,
+            device=str,
+            sine=str,
+            cosine=str,
+            uri=str,
+            trigger=str,
+            mid_scale=float,
+            time_stamps=bool,
             rate_hz=(1, 10_000_000),
             buffer_scans=(2, 65536),
             wait_us=(10, 1_000_000),
@@ -217,6 +215,10 @@ class IioSourceConfig(SourceConfig):
             scans_per_sync=(LEAST_SCANS_PER_SYNC, MOST_SCANS_PER_SYNC),
             samples_per_sync=(1, MOST_PER_SYNC),
         )
+        if not self.uri.isascii():
+            raise ValueError(f"uri must be such as local: or ip:192.168.2.1, not {self.uri!r}")
+        if self.sine == self.cosine:
+            raise ValueError(f"cosine must differ from sine, {self.sine!r}")
         scans, samples = self.scans_per_sync, self.samples_per_sync
         if samples > 1 and (scans is None or scans % samples):
             raise ValueError(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from canfb.checks import flag, integer_in, number, text
+from canfb.checks import within
 from canfb.errors import CanfbError, ConfigError, saying
 from canfb.signal.phase import FloatArray, goes_round_off_zero
 from canfb.signal.sample import TICK_S, Sample
@@ -68,7 +68,15 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        text("file", self.file)
+        within(
+            self,
+            file=str,
+            mid_scale=float,
+            scale=float,
+            gap_s=float,
+            gap_samples=(1, 1_000_000),
+            time_stamps=bool,
+        )
         if (
             not isinstance(self.columns, Sequence)
             or isinstance(self.columns, str)
@@ -78,16 +86,12 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
             raise ValueError(f"columns must be two, [sine, cosine], not {self.columns!r}")
         for name in self.columns:
             column("columns", name)
-        for name in ("mid_scale", "scale", "gap_s"):
-            number(name, getattr(self, name))
         if self.scale == 0.0:
             raise ValueError("scale must not be 0")
         if self.time_column is not None:
             column("time_column", self.time_column)
         if self.gap_s <= 0.0:
             raise ValueError(f"gap_s must be more than 0, not {self.gap_s!r}")
-        integer_in("gap_samples", self.gap_samples, 1, 1_000_000)
-        flag("time_stamps", self.time_stamps)
         if self.time_stamps and self.time_column is None:
             raise ValueError("time_stamps need a time_column")
         layout = {**vars(self), "columns": tuple(self.columns)}

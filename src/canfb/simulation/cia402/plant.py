@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from canfb.checks import LARGEST, flag, number_in, within
+from canfb.checks import LARGEST, number_in, within
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import TimeBase
@@ -82,8 +82,8 @@ class DriveConfig:
             motor_increments=(0, 0xFFFFFFFF),
             slip_revolutions=(-1000.0, 1000.0),
             slip_at_s=(0.0, 1e9),
+            synchronous_feedback=bool,
         )
-        flag("synchronous_feedback", self.synchronous_feedback)
 
     def slipped(self, time_s: float) -> float:
         """How far the encoder has fallen behind the motor, revolutions."""
