@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.calibration.deviation import Deviation, best_deviation, best_of_phases
 from canfb.calibration.ellipse import fit_ellipse, without_harmonics
@@ -37,7 +36,7 @@ from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from canfb.signal.front_end import NO_LOW_PASS, Corners, FrontEnd
-from canfb.signal.phase import FloatArray, wrap
+from canfb.signal.phase import BoolArray, FloatArray, IntArray, wrap
 from canfb.signal.sample import TICK_S, TICKS, Sample
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL, VALID
 
@@ -58,11 +57,11 @@ class SupervisedSamples:
 
     position: FloatArray
     amplitude: FloatArray
-    status: npt.NDArray[np.int64]
+    status: IntArray
     elapsed: FloatArray
 
     @property
-    def valid(self) -> npt.NDArray[np.bool_]:
+    def valid(self) -> BoolArray:
         return np.isfinite(self.position)
 
     @property

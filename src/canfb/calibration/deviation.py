@@ -26,7 +26,7 @@ from canfb.calibration.result import (
 )
 from canfb.errors import CalibrationError
 from canfb.signal.correction import Correction
-from canfb.signal.phase import FloatArray, raw_phases
+from canfb.signal.phase import BoolArray, FloatArray, raw_phases
 
 # A few samples may be faulty; they do not belong to what the table does.
 FAULTY_SIGMAS = 8.0
@@ -152,12 +152,12 @@ def phases_with(used: Correction, sine: FloatArray, cosine: FloatArray) -> Float
     return raw if used.table is None else used.table.correct_array(raw)
 
 
-def _faulty(blocks: Blocks, error: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _faulty(blocks: Blocks, error: FloatArray) -> BoolArray:
     far = blocks.used & (np.abs(error) > FAULTY_SIGMAS * robust_rms(error[blocks.used]))
     return far if far.sum() <= FAULTY_PART * blocks.samples else np.zeros_like(far)
 
 
-def _sound_blocks(blocks: Blocks, error: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _sound_blocks(blocks: Blocks, error: FloatArray) -> BoolArray:
     """False for a few blocks that are far worse than the others."""
     count = np.maximum(1, blocks.used.sum(axis=1))
     size = np.sqrt(np.sum(np.where(blocks.used, error, 0.0) ** 2, axis=1) / count)

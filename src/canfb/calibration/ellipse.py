@@ -15,12 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.calibration.result import Reason, robust_rms
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import HARMONIC_ORDERS, LARGEST_HARMONIC, Conditioning
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import ArrayLike, FloatArray, IntArray
 
 ROUNDS = 8
 # A sample this far off the ellipse is a fault; harmonics of a poor encoder reach 0.15.
@@ -39,9 +38,7 @@ MARGINS = (1.0, 8.0)
 NEAR = 0.15
 
 
-def fit_ellipse(
-    sine: npt.ArrayLike, cosine: npt.ArrayLike, valid: npt.ArrayLike | None = None
-) -> Conditioning:
+def fit_ellipse(sine: ArrayLike, cosine: ArrayLike, valid: ArrayLike | None = None) -> Conditioning:
     """Conditioning that turns the ellipse of the samples into a circle about the origin, in REAL32
     (2002:01..05).
 
@@ -82,7 +79,7 @@ def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
     return best
 
 
-def _thinned(s: FloatArray, c: FloatArray) -> npt.NDArray[np.int64]:
+def _thinned(s: FloatArray, c: FloatArray) -> IntArray:
     box = _Box.of(s, c, MARGINS[0])
     if box.half.max() < STANDSTILL_COUNTS:
         raise CalibrationError(

@@ -22,14 +22,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.calibration.recording import Blocks, solve_blocks
-from canfb.calibration.result import BoolArray, Reason, root_mean
+from canfb.calibration.result import Reason, root_mean
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import MAX_DEVIATION_CYCLES, CorrectionTable
-from canfb.signal.phase import FloatArray, raw_phases
+from canfb.signal.phase import BoolArray, ComplexArray, FloatArray, raw_phases
 
 CHUNK_SAMPLES = 8192  # keeps the temporaries in the processor's cache
 # Of the deviation of single samples: a step so small changes the sum of squares by its square, 1e-4 of it.
@@ -304,7 +303,7 @@ def _places(orders: tuple[int, ...]) -> list[int]:
     return [0, *(place for order in orders for place in (2 * order - 1, 2 * order))]
 
 
-def series_of(spectrum: npt.NDArray[np.complex128], orders: tuple[int, ...]) -> Waveform:
+def series_of(spectrum: ComplexArray, orders: tuple[int, ...]) -> Waveform:
     """From the Fourier coefficients of order 0 and of these orders, shape (2, 1 + orders), sine first."""
     parts = np.empty((2, 1 + 2 * len(orders)))
     parts[:, 0] = spectrum[:, 0].real

@@ -19,7 +19,6 @@ import contextlib
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.calibration.ellipse import angle_cycles, with_track_harmonics
 from canfb.calibration.joint import (
@@ -41,12 +40,10 @@ from canfb.calibration.result import (
     PEAK_SIGMAS,
     THIRDS,
     TRACK_POINTS,
-    BoolArray,
     Calibration,
     Drift,
     ErrorCurve,
     ErrorHarmonic,
-    IntArray,
     Method,
     Reason,
     about_mean,
@@ -63,16 +60,16 @@ from canfb.calibration.solver import MIN_BLOCKS, ORDER_STEPS, Progress, Solution
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.phase import FloatArray, raw_phases
+from canfb.signal.phase import ArrayLike, BoolArray, FloatArray, IntArray, raw_phases
 
 
 def calibrate_from_motion(
-    sine: npt.ArrayLike,
-    cosine: npt.ArrayLike,
+    sine: ArrayLike,
+    cosine: ArrayLike,
     conditioning: Conditioning | str | None = None,
     *,
-    time_s: npt.ArrayLike | None = None,
-    valid: npt.ArrayLike | None = None,
+    time_s: ArrayLike | None = None,
+    valid: ArrayLike | None = None,
     adc_bits: int | None = None,
     entries: int = 1024,
     progress: Progress | None = None,
@@ -256,12 +253,12 @@ ORDERS = tuple(range(1, ORDER_STEPS[-1] + 1))
 
 
 def calibrate_from_zero_crossings(
-    sine: npt.ArrayLike,
-    cosine: npt.ArrayLike,
+    sine: ArrayLike,
+    cosine: ArrayLike,
     conditioning: Conditioning | str | None = None,
     *,
-    time_s: npt.ArrayLike | None = None,
-    valid: npt.ArrayLike | None = None,
+    time_s: ArrayLike | None = None,
+    valid: ArrayLike | None = None,
     adc_bits: int | None = None,
     entries: int = 1024,
     progress: Progress | None = None,

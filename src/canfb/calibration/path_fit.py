@@ -18,12 +18,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.signal.front_end import Corners
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import ArrayLike, ComplexArray, FloatArray
 
 AMPLITUDE_REPEATS = 1e-3  # relative, both tracks together, from one speed to the next
 RATIO_REPEATS = 2e-4  # of one amplitude to the other
@@ -134,7 +133,7 @@ class PathFit:
     corners: Corners
     low_pass: LowPass
 
-    def turned_rad(self, hertz: npt.ArrayLike) -> FloatArray:
+    def turned_rad(self, hertz: ArrayLike) -> FloatArray:
         f = np.asarray(hertz, np.float64)
         return np.asarray(
             2.0 * math.pi * f * self.cosine_delay_s
@@ -147,7 +146,7 @@ class PathFit:
 NO_PATH = PathFit(0.0, 0.0, Corners(), LowPass(0.0, 0.0, 0.0, 0.0, False))
 
 
-def response(hertz: npt.ArrayLike, corner_hz: float) -> npt.NDArray[np.complex128]:
+def response(hertz: ArrayLike, corner_hz: float) -> ComplexArray:
     f = np.asarray(hertz, np.float64)
     return np.asarray(1.0 / (1.0 + 1j * f / corner_hz) if corner_hz else np.ones(f.shape), np.complex128)
 

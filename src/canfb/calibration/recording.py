@@ -16,14 +16,21 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
-from canfb.calibration.result import BoolArray, IntArray, Reason, samples_in_bins
+from canfb.calibration.result import Reason, samples_in_bins
 from canfb.errors import CalibrationError
 from canfb.objects import MISSED_COUNTS
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.phase import FloatArray, check_counts, pair_of_tracks, real_array
+from canfb.signal.phase import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    check_counts,
+    pair_of_tracks,
+    real_array,
+)
 from canfb.signal.sample_recording import BYTES_PER_SAMPLE
 from canfb.signal.tracker import track
 
@@ -158,10 +165,10 @@ class Recording:
 
 
 def recording(
-    sine: npt.ArrayLike,
-    cosine: npt.ArrayLike,
-    time_s: npt.ArrayLike | None,
-    valid: npt.ArrayLike | None,
+    sine: ArrayLike,
+    cosine: ArrayLike,
+    time_s: ArrayLike | None,
+    valid: ArrayLike | None,
     adc_bits: int | None,
     *,
     may_be_offset: bool = False,
@@ -196,11 +203,11 @@ def recording(
 
 
 def prepared(
-    sine: npt.ArrayLike,
-    cosine: npt.ArrayLike,
+    sine: ArrayLike,
+    cosine: ArrayLike,
     conditioning: Conditioning | str | None,
-    time_s: npt.ArrayLike | None,
-    valid: npt.ArrayLike | None,
+    time_s: ArrayLike | None,
+    valid: ArrayLike | None,
     adc_bits: int | None,
     entries: int,
 ) -> tuple[Recording, Conditioning, FloatArray, Conditioning]:
@@ -256,7 +263,7 @@ def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | No
     return np.asarray((np.minimum(s, c) <= -full) | (np.maximum(s, c) >= full - 1), np.bool_)
 
 
-def _intervals(time_s: npt.ArrayLike | None, n: int) -> tuple[FloatArray, bool]:
+def _intervals(time_s: ArrayLike | None, n: int) -> tuple[FloatArray, bool]:
     if time_s is None:
         return np.arange(n, dtype=np.float64), False
     time = real_array("time_s", time_s)

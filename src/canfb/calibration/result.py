@@ -13,15 +13,11 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import AnyTable, Correction, CorrectionTable, correction_of
-from canfb.signal.phase import FloatArray, raw_phases, wrap
-
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from canfb.signal.phase import BoolArray, FloatArray, IntArray, raw_phases, wrap
 
 
 class Reason(StrEnum):
@@ -84,11 +80,11 @@ BINS = 64  # of the cycle
 MIN_PER_BIN = 2
 
 
-def bins_of(phase: FloatArray) -> npt.NDArray[np.int64]:
+def bins_of(phase: FloatArray) -> IntArray:
     return (phase % 1.0 * BINS).astype(np.int64) % BINS
 
 
-def samples_in_bins(phase: FloatArray) -> npt.NDArray[np.int64]:
+def samples_in_bins(phase: FloatArray) -> IntArray:
     return np.bincount(bins_of(phase), minlength=BINS)
 
 
@@ -105,7 +101,7 @@ def coverage(phase: FloatArray) -> float:
     return covered(samples_in_bins(phase))
 
 
-def covered(counts: Sequence[int] | npt.NDArray[np.int64]) -> float:
+def covered(counts: Sequence[int] | IntArray) -> float:
     here = np.asarray(counts)
     return float(np.mean(np.roll(here, 1) + here + np.roll(here, -1) >= MIN_PER_BIN))
 

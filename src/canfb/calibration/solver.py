@@ -31,7 +31,6 @@ from canfb.calibration.recording import CUBIC, MIN_SAMPLES, Blocks, Recording
 from canfb.calibration.result import (
     LOCKED_LOSS,
     MAX_OFF_CYCLES,
-    BoolArray,
     Reason,
     check_distance,
     coverage,
@@ -41,7 +40,7 @@ from canfb.calibration.result import (
 )
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import BoolArray, FloatArray
 
 
 class Shape(NamedTuple):

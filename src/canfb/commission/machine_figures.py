@@ -28,7 +28,7 @@ from canfb.calibration.result import (
 from canfb.master.samples import TrackSamples
 from canfb.signal.correction import Correction
 from canfb.signal.front_end import Corners
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import BoolArray, FloatArray
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 
 HALVES = (1, 2, 4, 8, 16, 32, 64)  # of the windows of the parabolas, samples to each side
@@ -272,9 +272,7 @@ def repeats_of_frozen_input(noise_counts: float, rate_hz: float, margin: float, 
     return math.ceil(repeats) if repeats <= MOST_REPEATS else 0
 
 
-def _radial_noise(
-    supervised: SupervisedSamples, valid: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-) -> float:
+def _radial_noise(supervised: SupervisedSamples, valid: BoolArray) -> float:
     """Noise of the amplitude, counts, its course over the phase taken off."""
     amplitude = np.where(valid, supervised.amplitude, np.nan)
     used = np.flatnonzero(valid)[:FITTED_SAMPLES]

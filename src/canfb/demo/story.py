@@ -9,7 +9,6 @@ from typing import Any
 
 import canopen
 import numpy as np
-from numpy.typing import NDArray
 
 from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.result import Calibration
@@ -20,7 +19,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import OperatingParameter, RecordingCommand
 from canfb.signal.correction import Correction
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import FloatArray, IntArray
 from canfb.signal.sample import Feedback, Sample
 from canfb.signal.supervision import VALID
 from canfb.simulation.embedded_bus import BackgroundTraffic, Drive, EmbeddedBus, SyncTiming
@@ -283,7 +282,7 @@ class Story:
     flagged_at_once: int = 0
     wrong_and_valid: int = 0
     wrong_counts_after: int = 0
-    residual_number: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    residual_number: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
     residual: FloatArray = field(default_factory=lambda: np.zeros(0))
     fault_window: tuple[int, int] = (0, 0)
     bus_load: float = 0.0

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb import objects as od
 from canfb.calibration.over_speeds import sampled_together, speeds
@@ -28,7 +27,7 @@ from canfb.master.access import (
     Unchanged,
     subscribed,
 )
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import ArrayLike, FloatArray
 from canfb.signal.sample import TICK_S, TICKS
 from canfb.sources.sample_files import read_tracks, with_gaps
 from canfb.view.module_view import PdoLayout
@@ -58,9 +57,7 @@ class TrackSamples:
     at_speed: bool = False
 
     @classmethod
-    def of(
-        cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, rate_hz: float | None, origin: str
-    ) -> TrackSamples:
+    def of(cls, sine: ArrayLike, cosine: ArrayLike, rate_hz: float | None, origin: str) -> TrackSamples:
         """Pairs of -32768 are missed. ValueError for different lengths."""
         return cls(*with_gaps(sine, cosine), rate_hz, origin)
 

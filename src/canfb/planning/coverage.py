@@ -14,11 +14,11 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb import objects as od
 from canfb.planning.plan import ResidualBudget
 from canfb.signal.bounded_motion import ORDER
+from canfb.signal.phase import BoolArray, FloatArray
 from canfb.signal.supervision import SampleLimits
 from canfb.simulation.faults import (
     Fault,
@@ -45,8 +45,6 @@ SEED = 61800
 USUAL_TOLERANCE = 0.01  # revolutions, as in docs/homing.md
 LEAST_MOTION_CYCLES = 0.01  # where no motion is given
 SECOND = od.SAMPLE_SECOND_POSITION.mapped(32)
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +154,7 @@ def _covered(window: SampleWindow, name: str, draw: Callable[[Rng, float], Fault
     return _judged(window, name, truth, sine, cosine)
 
 
-def _motion(window: SampleWindow, total: int, rng: Rng) -> Floats:
+def _motion(window: SampleWindow, total: int, rng: Rng) -> FloatArray:
     """True positions, cycles; from the fault on accelerated.
 
     Whole cycles per interval make no difference to eq. 9, so the speed is within half a cycle.
@@ -167,7 +165,9 @@ def _motion(window: SampleWindow, total: int, rng: Rng) -> Floats:
     return np.asarray(float(rng.uniform()) + float(rng.uniform(-0.5, 0.5)) * k + high * bend, np.float64)
 
 
-def _judged(window: SampleWindow, name: str, truth: Floats, sine: Floats, cosine: Floats) -> FaultCoverage:
+def _judged(
+    window: SampleWindow, name: str, truth: FloatArray, sine: FloatArray, cosine: FloatArray
+) -> FaultCoverage:
     full = window.sample.full_scale_counts
     amplitude = np.hypot(sine, cosine)
     refused = (amplitude < window.sample.amplitude_low_counts) | (
@@ -178,7 +178,7 @@ def _judged(window: SampleWindow, name: str, truth: Floats, sine: Floats, cosine
     phase = np.arctan2(sine, cosine) / (2.0 * np.pi)
     change = np.diff(phase, ORDER, axis=1)
     residual = change - np.rint(change)
-    error: Floats = residual - np.diff(truth, ORDER, axis=1)
+    error: FloatArray = residual - np.diff(truth, ORDER, axis=1)
     for _ in range(ORDER):
         error = np.cumsum(error, axis=1)
     by_amplitude = refused[:, ORDER:]
@@ -192,7 +192,7 @@ def _judged(window: SampleWindow, name: str, truth: Floats, sine: Floats, cosine
     return FaultCoverage(name, int(harmful.sum()), shares, _within(by_residual[harmful]))
 
 
-def _within(detected: npt.NDArray[np.bool_]) -> int | None:
+def _within(detected: BoolArray) -> int | None:
     first = [int(np.argmax(one)) + 1 for one in detected if one.any()]
     return int(np.quantile(first, 0.99, method="higher")) if first else None
 

@@ -17,12 +17,12 @@ from canfb import objects as od
 from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.over_speeds import sampled_together
 from canfb.calibration.recording import recording
-from canfb.calibration.result import BoolArray, drift
+from canfb.calibration.result import drift
 from canfb.errors import CalibrationError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.chain_config import ChainLimits
 from canfb.signal.correction import Correction
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import BoolArray, FloatArray
 from canfb.signal.sample import Feedback
 
 BLOCK_ROWS = 1 << 12

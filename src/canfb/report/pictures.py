@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.calibration.result import BINS, root_mean
 from canfb.report.plot import BOTTOM, LEFT, RIGHT, TOP, Plot, Scale, nice_limit
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.phase import FloatArray, wrap
+from canfb.signal.phase import FloatArray, IntArray, wrap
 from canfb.signal.supervision import SampleLimits
 
 PERCENT = 100.0
@@ -143,7 +142,7 @@ def _counted(
     return count.astype(np.float64), middle, float(edges[1] - edges[0])
 
 
-def coverage(samples: npt.NDArray[np.int64]) -> str:
+def coverage(samples: IntArray) -> str:
     """Samples in each 1/64 cycle, shape (64,)."""
     count = samples.astype(np.float64)
     extent = 0.0, 1.15 * max(float(count.max()), 1.0)
@@ -238,7 +237,7 @@ def circle(plot: Plot, radius: float, style: str, name: str | None) -> Plot:
     return plot.line(x, np.where(outside, np.nan, y), style, name)
 
 
-def _cell(values: FloatArray, scale: Scale, cells: int) -> npt.NDArray[np.int64]:
+def _cell(values: FloatArray, scale: Scale, cells: int) -> IntArray:
     part = (values - scale.low) / (scale.high - scale.low)
     return np.clip((part * cells).astype(np.int64), 0, cells - 1)
 

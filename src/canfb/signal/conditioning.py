@@ -8,10 +8,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.checks import LARGEST
 from canfb.signal.blocks import Scratch
+from canfb.signal.phase import AnyArray, FloatArray
 
 Coefficients = tuple[float, float, float, float, float]
 HARMONIC_ORDERS = (-1, 2, -2, 3, -3, 5, -5)  # of cosine + i sine
@@ -144,8 +144,8 @@ class Conditioning:
         return s, (cosine - offset_c) * factor_c - s * skew
 
     def apply_block(
-        self, sine: npt.NDArray[Any], cosine: npt.NDArray[Any], scratch: Scratch
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        self, sine: AnyArray, cosine: AnyArray, scratch: Scratch
+    ) -> tuple[FloatArray, FloatArray]:
         """:meth:`apply` for a block, into ``scratch.sine`` and ``scratch.cosine``."""
         offset_s, gain_s, offset_c, factor_c, skew = self.coefficients()
         s, c = scratch.sine, scratch.cosine

@@ -26,16 +26,15 @@ from functools import lru_cache
 from math import atan, sqrt, tan
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.signal.conditioning import HARMONIC_ORDERS, Coefficients, Conditioning
+from canfb.signal.phase import ComplexArray, FloatArray
 
 Row = tuple[tuple[float, float], ...]
 PLACES = 64  # in a cycle: the highest order of D is 6, and linear interpolation leaves 0.5 % of order 2
 SPEEDS = 192  # rows on either side of standstill
 MOST_CORNERS = 3.0  # the highest speed, in corner frequencies
 MOST_TURN_RAD = 1.2  # and from a sine to its cosine
-Complex = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -95,9 +94,7 @@ def harmonic_rows(used: Conditioning, path: Corners) -> HarmonicRows | None:
     return HarmonicRows(rows, step_hz)
 
 
-def _deviation(
-    standing: Complex, used: Conditioning, path: Corners, hertz: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
+def _deviation(standing: ComplexArray, used: Conditioning, path: Corners, hertz: FloatArray) -> FloatArray:
     """D, cycles, shape (speeds, PLACES); ``standing`` are the harmonics at standstill."""
     z = dict(zip(HARMONIC_ORDERS, standing.tolist(), strict=True)) | {1: 1.0 + 0j}
     f = np.asarray(hertz, np.float64)[:, None]
@@ -118,8 +115,8 @@ def harmonic_at(
     behind: complex,
     used: Conditioning,
     path: Corners,
-    hertz: npt.NDArray[np.float64],
-) -> tuple[Complex, Complex]:
+    hertz: FloatArray,
+) -> tuple[ComplexArray, ComplexArray]:
     """z_k and z_-k at these speeds, any shape, of those at standstill."""
     f = hertz
     cosine, sine = (ahead + behind.conjugate()) / 2.0, (ahead - behind.conjugate()) / 2.0j
@@ -133,7 +130,7 @@ def harmonic_at(
     return c + 1j * s, c.conj() + 1j * s.conj()
 
 
-def _left(k: int, f: npt.NDArray[np.float64], corner_hz: float) -> Complex:
+def _left(k: int, f: FloatArray, corner_hz: float) -> ComplexArray:
     """H(k f) / |H(f)|."""
     if not corner_hz:
         return np.ones(f.shape, np.complex128)

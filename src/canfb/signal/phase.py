@@ -16,7 +16,11 @@ import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch, blocks
 
+ArrayLike = npt.ArrayLike
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+ComplexArray = npt.NDArray[np.complex128]
 AnyArray = npt.NDArray[Any]
 
 SCALARS = (int, float, np.floating, np.integer, np.bool_)
@@ -25,7 +29,7 @@ SCALARS = (int, float, np.floating, np.integer, np.bool_)
 @overload
 def phase_in_cycle(sine: float, cosine: float) -> float: ...
 @overload
-def phase_in_cycle(sine: npt.ArrayLike, cosine: npt.ArrayLike) -> FloatArray: ...
+def phase_in_cycle(sine: ArrayLike, cosine: ArrayLike) -> FloatArray: ...
 def phase_in_cycle(sine: Any, cosine: Any) -> Any:
     """Raw phase of one sample, or of arrays, in cycles: 0 <= raw phase < 1 (Table 1); 0 at the positive
     zero crossing of the sine.
@@ -40,7 +44,7 @@ def phase_in_cycle(sine: Any, cosine: Any) -> Any:
     return raw_phases(s, c)
 
 
-def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
+def real_array(name: str, values: ArrayLike) -> FloatArray:
     """``values`` as an array of float64; ValueError, with this name, for complex or too large numbers."""
     if np.iscomplexobj(values):
         raise ValueError(f"{name} must be real numbers, not complex ones")
@@ -50,7 +54,7 @@ def real_array(name: str, values: npt.ArrayLike) -> FloatArray:
         raise ValueError(f"{name} must be less than 1.8e308") from None
 
 
-def _with_gaps(values: npt.ArrayLike) -> npt.ArrayLike:
+def _with_gaps(values: ArrayLike) -> ArrayLike:
     # NaN where an array is masked.
     return np.ma.asarray(values, float).filled(np.nan) if np.ma.is_masked(values) else values
 
@@ -146,8 +150,8 @@ LEAST_SPREAD = 0.25  # of counts around a centre that is not zero, against the l
 
 
 def pair_of_tracks(
-    sine: npt.ArrayLike, cosine: npt.ArrayLike, *, may_be_offset: bool = False
-) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    sine: ArrayLike, cosine: ArrayLike, *, may_be_offset: bool = False
+) -> tuple[AnyArray, AnyArray]:
     """Both tracks as arrays of one shape (n,), ADC counts with zero at mid-scale; else ValueError.
 
     Unsigned ones pass where a conditioning takes an offset away (``may_be_offset``).
@@ -162,7 +166,7 @@ def pair_of_tracks(
     return sines, cosines
 
 
-def check_counts(sine: npt.NDArray[Any], cosine: npt.NDArray[Any], *, may_be_offset: bool = False) -> None:
+def check_counts(sine: AnyArray, cosine: AnyArray, *, may_be_offset: bool = False) -> None:
     """ValueError for tracks that can only be something else than counts with zero at mid-scale.
 
     They are in -1..1, or go round but never below zero. Fewer than 64 samples pass.
@@ -176,7 +180,7 @@ def check_counts(sine: npt.NDArray[Any], cosine: npt.NDArray[Any], *, may_be_off
             )
 
 
-def _numbers(name: str, track: npt.ArrayLike, kinds: str) -> npt.NDArray[Any]:
+def _numbers(name: str, track: ArrayLike, kinds: str) -> AnyArray:
     try:
         numbers = np.asarray(_with_gaps(track))
     except ValueError:
@@ -196,7 +200,7 @@ def _numbers(name: str, track: npt.ArrayLike, kinds: str) -> npt.NDArray[Any]:
     raise ValueError(f"{name} must be real numbers (ADC counts), not {numbers.dtype}")
 
 
-def _refuse_normalised(sine: npt.NDArray[Any], cosine: npt.NDArray[Any]) -> None:
+def _refuse_normalised(sine: AnyArray, cosine: AnyArray) -> None:
     if sine.dtype.kind == "i" or not (_is_small(sine[:FEW_SAMPLES]) and _is_small(cosine[:FEW_SAMPLES])):
         return  # nearly always
     peak = max(np.nanmax(np.abs(track), initial=0.0) for track in (sine, cosine))
@@ -207,11 +211,11 @@ def _refuse_normalised(sine: npt.NDArray[Any], cosine: npt.NDArray[Any]) -> None
         )
 
 
-def _is_small(track: npt.NDArray[Any]) -> bool:
+def _is_small(track: AnyArray) -> bool:
     return not (np.abs(track) > 1.0).any()
 
 
-def goes_round_off_zero(sine: npt.NDArray[Any], cosine: npt.NDArray[Any]) -> bool:
+def goes_round_off_zero(sine: AnyArray, cosine: AnyArray) -> bool:
     """No count of either is below zero, and yet the tracks go round; a machine that stands may have none."""
     if len(sine) < FEW_SAMPLES or (sine[:FEW_SAMPLES] < 0).any() or (cosine[:FEW_SAMPLES] < 0).any():
         return False  # nearly always

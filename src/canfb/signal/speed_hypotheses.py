@@ -25,12 +25,11 @@ from copy import copy
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.signal.bounded_motion import BoundedMotion
 from canfb.signal.doubt import FALSE_ACCEPTANCE
 from canfb.signal.limits import MOST_BAD_SAMPLES
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import BoolArray, FloatArray, IntArray
 
 # 1Vpp encoders give at most 500 kHz; up to twice that their time stamps of 100 ns cost 0.05 cycle.
 MOST_TIME_CYCLES = 0.05
@@ -68,7 +67,7 @@ class SpeedSet:
     def __init__(self, most: int) -> None:
         self._most = most
         # The last samples, newest first: cycle counts of the speeds that are left, phase, intervals since.
-        self._counts: list[npt.NDArray[np.int64]] = []
+        self._counts: list[IntArray] = []
         self._phases: list[float] = []
         self._since: list[float] = []
         self._gap = 0.0
@@ -136,21 +135,19 @@ class SpeedSet:
         return bool(self.left) and self.samples <= MOST_SAMPLES
 
     def _from_origin(
-        self, phase: float, since: float, steps: npt.NDArray[np.int64], newest: float, elapsed: float
-    ) -> npt.NDArray[np.int64]:
+        self, phase: float, since: float, steps: IntArray, newest: float, elapsed: float
+    ) -> IntArray:
         speeds = (steps + (newest - self._phases[0])) / elapsed
         first = np.rint(speeds * since + (phase - self._phases[0])).astype(np.int64)
         self._counts = [first]
         return np.asarray(first + steps)
 
-    def _branch(
-        self, lowest: npt.NDArray[np.int64], possible: npt.NDArray[np.int64]
-    ) -> npt.NDArray[np.int64]:
+    def _branch(self, lowest: IntArray, possible: IntArray) -> IntArray:
         self._counts = [one.repeat(possible) for one in self._counts]
         number = np.arange(len(self._counts[0])) - (np.cumsum(possible) - possible).repeat(possible)
         return np.asarray(self._counts[0] + lowest.repeat(possible) + number)
 
-    def _keep(self, kept: npt.NDArray[np.bool_], counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    def _keep(self, kept: BoolArray, counts: IntArray) -> IntArray:
         self._counts = [one[kept] for one in self._counts]
         return counts[kept]
 

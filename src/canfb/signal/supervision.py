@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.objects import StatusBit
-from canfb.signal.phase import AnyArray
+from canfb.signal.phase import AnyArray, BoolArray
 
 # Plain integers for the hot path: an operation on an IntFlag costs ten times as much.
 VALID: Final = int(StatusBit.VALID)
@@ -110,8 +109,8 @@ class Supervision:
 
 
 def repeats(
-    sine: AnyArray, cosine: AnyArray, before: tuple[float, float], out: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.bool_] | None:
+    sine: AnyArray, cosine: AnyArray, before: tuple[float, float], out: BoolArray
+) -> BoolArray | None:
     """Which pairs of counts, of one or more, are those of the sample before; in ``out``. None: not one.
 
     ``before`` is the pair before the first one.
@@ -167,7 +166,7 @@ class FrozenInput:
         slow = not self.frozen_samples or abs(self._speed) < self.residual_limit_cycles
         return self.repeats > 0 and slow
 
-    def before_row(self, equal: npt.NDArray[np.bool_]) -> int:
+    def before_row(self, equal: BoolArray) -> int:
         """Samples before the first row of repeats that may freeze: long enough, or with no end yet.
 
         ``equal``: which samples are equal to the one before; the first one begins a row.

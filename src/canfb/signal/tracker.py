@@ -15,10 +15,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch, blocks
-from canfb.signal.phase import FloatArray, real_array
+from canfb.signal.phase import ArrayLike, BoolArray, FloatArray, IntArray, real_array
 
 RESIDUAL_LIMIT = 1.0 / 3.0
 NOT_USUAL = -1.0  # in place of a residual
@@ -236,10 +235,10 @@ class TrackResult:
     cycles int64, phase float64 (cycles), residual float64 (cycles, 0..0.5), ok bool.
     """
 
-    cycles: npt.NDArray[np.int64]
+    cycles: IntArray
     phase: FloatArray
     residual: FloatArray
-    ok: npt.NDArray[np.bool_]
+    ok: BoolArray
 
     @classmethod
     def empty(cls, samples: int) -> TrackResult:
@@ -289,9 +288,7 @@ EXACT = 1 << 48  # sums of a row with counts of this size are exact in float64
 MOST_IN_PRODUCT = (1 << 18) // ROW
 
 
-def track(
-    phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0
-) -> TrackResult:
+def track(phase: ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0) -> TrackResult:
     """:class:`Tracker` over an array of phases, vectorised; bit for bit the same result.
 
     ``phase`` has shape (n,), cycles, 0 <= phase < 1, NaN where a sample has no phase. ``speed_cycles`` is
@@ -383,9 +380,7 @@ def _round(c: FloatArray, turns: FloatArray, residual: FloatArray) -> None:
     np.abs(c, out=residual)
 
 
-def cycle_counts(
-    turns: FloatArray, cycles: int, step: int, out: npt.NDArray[np.int64], scratch: Scratch
-) -> int:
+def cycle_counts(turns: FloatArray, cycles: int, step: int, out: IntArray, scratch: Scratch) -> int:
     """Add up step(k) = step(k-1) + turns(k), i(k) = i(k-1) + step(k), i into ``out``; the last step.
 
     ``turns`` are whole, at most 2 in size, and overwritten, as ``scratch.a`` and ``scratch.index``. Exact.
@@ -408,9 +403,7 @@ def cycle_counts(
     return step
 
 
-def _in_rows(
-    turns: FloatArray, cycles: int, step: int, out: npt.NDArray[np.int64], scratch: Scratch
-) -> tuple[int, int]:
+def _in_rows(turns: FloatArray, cycles: int, step: int, out: IntArray, scratch: Scratch) -> tuple[int, int]:
     rows = turns.reshape(-1, ROW)
     totals = np.matmul(turns, _TOTALS).reshape(-1, 2)
     steps, counts = np.empty(len(rows) + 1), np.empty(len(rows) + 1)  # before each row, and after the last

@@ -14,17 +14,14 @@ from enum import Enum
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.checks import integer_in
-from canfb.signal.phase import pair_of_tracks
+from canfb.signal.phase import ArrayLike, BoolArray, FloatArray, IntArray, pair_of_tracks
 
-Counts = npt.NDArray[np.int64]
-# Sine and cosine while the fault is present, before the converter, shape (2, n).
-Tracks = npt.NDArray[np.float64]
 Rng = np.random.Generator
-# The faulty tracks, from those of the encoder and the full scale of the converter, counts.
-Change = Callable[[Tracks, int, Rng], npt.ArrayLike]
+# The faulty tracks, from those of the encoder while the fault is present, before the converter, of shape
+# (2, n), and the full scale of the converter, counts.
+Change = Callable[[FloatArray, int, Rng], ArrayLike]
 
 
 class Signal(Enum):
@@ -44,13 +41,13 @@ class Samples:
     full_scale_counts   2**(adc_bits - 1): counts lie in -full_scale..full_scale - 1
     """
 
-    sine: Counts
-    cosine: Counts
-    delivered: npt.NDArray[np.bool_]
+    sine: IntArray
+    cosine: IntArray
+    delivered: BoolArray
     full_scale_counts: int
 
     @classmethod
-    def of(cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, adc_bits: int = 12) -> Self:
+    def of(cls, sine: ArrayLike, cosine: ArrayLike, adc_bits: int = 12) -> Self:
         """Samples that were all delivered. ValueError for two shapes, or ``adc_bits`` not 4..16."""
         integer_in("adc_bits", adc_bits, 4, 16)
         s, c = (np.asarray(one, dtype=np.int64) for one in pair_of_tracks(sine, cosine))
@@ -59,10 +56,10 @@ class Samples:
     def __len__(self) -> int:
         return len(self.sine)
 
-    def tracks(self, places: slice | Counts) -> Tracks:
+    def tracks(self, places: slice | IntArray) -> FloatArray:
         return np.stack([self.sine[places], self.cosine[places]]).astype(np.float64)
 
-    def put(self, span: slice, signal: Signal, faulty: npt.ArrayLike) -> Samples:
+    def put(self, span: slice, signal: Signal, faulty: ArrayLike) -> Samples:
         """With ``faulty`` tracks within ``span`` as the converter makes them: rounded, held at its ends."""
         full, tracks = self.full_scale_counts, np.where(signal.value, faulty, self.tracks(span))
         counts = np.clip(np.rint(tracks), -full, full - 1).astype(np.int64)
@@ -95,12 +92,12 @@ def changed(change: Change, signal: Signal = Signal.BOTH) -> Fault:
     )
 
 
-def moved(places: Callable[[slice], Counts], signal: Signal = Signal.BOTH) -> Fault:
+def moved(places: Callable[[slice], IntArray], signal: Signal = Signal.BOTH) -> Fault:
     """The samples of other ``places`` in the span."""
     return Fault(lambda samples, span, rng: samples.put(span, signal, samples.tracks(places(span))))
 
 
-def last_good(span: slice) -> Counts:
+def last_good(span: slice) -> IntArray:
     """The place before the span, for each in it."""
     return np.full(span.stop - span.start, max(span.start - 1, 0))
 
@@ -156,7 +153,7 @@ def track_drift(
     integer_in("ramp_samples", ramp_samples, 1, 1 << 31)
     gain, offset = np.array([[sine_gain], [cosine_gain]]), np.array([[sine_offset], [cosine_offset]])
 
-    def drifted(tracks: Tracks, full: int, rng: Rng) -> Tracks:
+    def drifted(tracks: FloatArray, full: int, rng: Rng) -> FloatArray:
         sine, cosine = tracks
         part = np.minimum(np.arange(1, len(sine) + 1) / ramp_samples, 1.0)
         turned = np.stack([sine, cosine * np.cos(part * phase_rad) + sine * np.sin(part * phase_rad)])
@@ -173,7 +170,7 @@ def oscillation(
     ``periods_per_sample`` is its frequency as sampled.
     """
 
-    def change(tracks: Tracks, full: int, rng: Rng) -> Tracks:
+    def change(tracks: FloatArray, full: int, rng: Rng) -> FloatArray:
         angle = 2.0 * math.pi * periods_per_sample * np.arange(tracks.shape[1]) + shift_rad
         return np.asarray(tracks + amplitude_counts * np.sin(angle), np.float64)
 

@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.checks import within
 from canfb.errors import CanfbError, ConfigError, saying
-from canfb.signal.phase import FloatArray, goes_round_off_zero
+from canfb.signal.phase import ArrayLike, FloatArray, goes_round_off_zero
 from canfb.signal.sample import TICK_S, Sample
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, Surroundings, column
 from canfb.sources.sample_files import Columns, read_columns, read_tracks
@@ -219,7 +218,7 @@ def _stretch(seconds: FloatArray, layout: RecordingLayout) -> float:
     return layout.interval_s / step_s if step_s > SHORTEST_STEP_S else 1.0
 
 
-def _check(path: Path, columns: Columns, wrong: npt.ArrayLike, message: str) -> None:
+def _check(path: Path, columns: Columns, wrong: ArrayLike, message: str) -> None:
     places = np.flatnonzero(wrong)
     if len(places):
         first = int(places[0])

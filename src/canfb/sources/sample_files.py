@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb.errors import CanfbError
 from canfb.files import decoded, read_bytes
 from canfb.objects import MISSED_COUNTS
-from canfb.signal.phase import FloatArray, pair_of_tracks
+from canfb.signal.phase import ArrayLike, FloatArray, pair_of_tracks
 
 SEPARATORS = "\t;,"  # in this order: a name or a number may hold a comma
 SEPARATOR_LINE = re.compile(r"sep=(.)\s*")
@@ -112,7 +111,7 @@ class Tracks(NamedTuple):
     cycles_per_s: float | None
 
 
-def with_gaps(sine: npt.ArrayLike, cosine: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+def with_gaps(sine: ArrayLike, cosine: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Counts as floats, pairs of -32768 as NaN. ValueError for arrays of different length."""
     s, c = (np.array(one, np.float64) for one in pair_of_tracks(sine, cosine, may_be_offset=True))
     missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS) | np.isnan(s) | np.isnan(c)

@@ -222,7 +222,7 @@ def excess_noise(signal: Signal, rms_counts: float) -> Fault:
 def phase_glitch(amplitude_counts: float, common: bool = False) -> Fault:
     """Samples of good amplitude at any phase: one random error for all (``common``), or one for each."""
 
-    def change(tracks: faults.Tracks, full: int, rng: Rng) -> faults.Tracks:
+    def change(tracks: Array, full: int, rng: Rng) -> Array:
         angle = rng.uniform(0.0, 2.0 * np.pi, 1 if common else tracks.shape[1])
         if common:
             angle = angle + np.arctan2(*tracks)
