@@ -20,7 +20,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoError
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, NmtCommand, NmtState
-from canfb.errors import CanfbError
+from canfb.errors import CanfbError, reason
 from canfb.signal.speeds import apart
 
 # :class:`canfb.bus.sdo_channel.SharedClient`: canopen's client, with its turn and what disturbed it.
@@ -268,7 +268,7 @@ class NodeAccess:
                 )
             return CommissioningError(f"{what}: {said}")
         if isinstance(error, (can.CanError, OSError)):
-            return CommissioningError(f"{what}: {' '.join(str(error).split())}")
+            return CommissioningError(f"{what}: {reason(error)}")
         # What canopen's streams come to on answers that they did not expect.
         return CommissioningError(f"{what}: the response is invalid ({error})")
 

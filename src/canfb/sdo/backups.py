@@ -17,6 +17,7 @@ from canfb.cia301 import cob, datatypes
 from canfb.cia301.codes import NmtCommand, NmtState
 from canfb.cia301.datatypes import DataType
 from canfb.device.od.dcf import Write
+from canfb.errors import saying
 from canfb.files import read_bytes
 from canfb.marked_yaml import MarkedYaml
 from canfb.master.access import CommissioningError, NodeAccess, nmt_state
@@ -87,10 +88,8 @@ def backup_text(backup: Backup, described: ObjectDescriptions) -> str:
 def read_backup(path: Path, described: ObjectDescriptions, accept_unknown: bool = False) -> Backup:
     """CommissioningError, with line and key, for anything else."""
     data = read_bytes(path, CommissioningError)
-    try:
+    with saying(CommissioningError, str(path), ValueError):
         return _BackupReader(MarkedYaml(data), described, accept_unknown).backup()
-    except ValueError as error:
-        raise CommissioningError(f"{path}: {' '.join(str(error).split())[:300]}") from None
 
 
 class _BackupReader:

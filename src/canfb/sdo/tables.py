@@ -15,7 +15,7 @@ import yaml
 
 from canfb import objects as od
 from canfb.calibration.result import peak, root_mean
-from canfb.errors import CanfbError
+from canfb.errors import CanfbError, saying
 from canfb.files import read_bytes, write_whole
 from canfb.marked_yaml import MarkedYaml
 from canfb.master.access import CommissioningError, NodeAccess, as_real32
@@ -121,13 +121,10 @@ class TableFile:
 def read_table(path: Path) -> TableFile:
     """CommissioningError for no table file."""
     data = read_bytes(path, CommissioningError)
-    try:
+    with saying(CommissioningError, f"{path}: this is not a correction table", ValueError, TypeError):
         if is_yaml(path):
             return _from_yaml(path, data)
         return TableFile(path, Correction(CorrectionTable.from_bytes(data), IDENTITY), False)
-    except (ValueError, TypeError) as error:
-        said = " ".join(str(error).split())[:200]
-        raise CommissioningError(f"{path}: this is not a correction table: {said}") from None
 
 
 def is_yaml(path: Path) -> bool:

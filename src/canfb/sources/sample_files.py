@@ -13,7 +13,7 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
-from canfb.errors import CanfbError
+from canfb.errors import CanfbError, reason
 from canfb.files import decoded, read_bytes
 from canfb.objects import MISSED_COUNTS
 from canfb.signal.phase import ArrayLike, FloatArray, pair_of_tracks
@@ -93,7 +93,6 @@ def _numbers(path: Path, line: int, row: list[str], places: Iterable[int]) -> li
 
 # Bytes, of all arrays: a few kB of ZIP can hold any number of zeros. Six hours at 1 kHz, with times.
 LARGEST_UNPACKED = 1 << 28
-LONGEST_MESSAGE = 200
 
 
 class Tracks(NamedTuple):
@@ -132,10 +131,9 @@ def read_tracks(path: Path) -> Tracks:
             file.seek(0)
             return _tracks(file)
     except OSError as error:
-        raise CanfbError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise CanfbError(f"{path}: cannot be read: {reason(error)}") from None
     except Exception as error:
-        said = " ".join(str(error).split())[:LONGEST_MESSAGE]
-        raise CanfbError(f"{path}: this is not a file of samples: {said or type(error).__name__}") from None
+        raise CanfbError(f"{path}: this is not a file of samples: {reason(error)}") from None
 
 
 def _tracks(file: IO[bytes]) -> Tracks:
