@@ -9,7 +9,7 @@ LARGEST = sys.float_info.max  # Beyond it are infinity, and whole numbers that a
 
 
 def integer_in(name: str, value: object, low: int, high: int) -> None:
-    """ValueError that names the parameter unless ``value`` is a whole number low..high."""
+    """ValueError unless ``value`` is a whole number low..high."""
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise ValueError(f"{name} must be a whole number {low}..{high}, not {value!r}")
 
@@ -33,7 +33,7 @@ def flag(name: str, value: object) -> None:
 
 
 def text(name: str, value: object) -> None:
-    """ValueError unless ``value`` is a string with more than blanks, and without a NUL."""
+    """ValueError unless ``value`` is a string, not blank, without a NUL."""
     if not isinstance(value, str) or not value.strip() or "\0" in value:
         raise ValueError(f"{name} must be text, not {value!r}")
 

@@ -19,7 +19,7 @@ LONGEST_REASON = 300  # Characters: the messages of others quote what they were 
 
 
 class CanfbError(Exception):
-    """Root of our errors."""
+    """Root of all errors of this package."""
 
 
 class CalibrationError(CanfbError):
@@ -46,7 +46,7 @@ class BusError(CanfbError):
 
 @contextlib.contextmanager
 def saying(refuse: type[Exception], what: str, *kinds: type[Exception]) -> Iterator[None]:
-    """``refuse``, of ``what`` and why, for these ``kinds`` within."""
+    """``refuse`` says what failed and why, for ``kinds`` within."""
     try:
         yield
     except kinds as error:
@@ -54,7 +54,7 @@ def saying(refuse: type[Exception], what: str, *kinds: type[Exception]) -> Itera
 
 
 def reason(error: Exception) -> str:
-    """What another library or the system says: one line, LONGEST_REASON at most."""
+    """One line, LONGEST_REASON characters at most: what another library or the system says."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     text = str(error).strip().splitlines()

@@ -13,7 +13,7 @@ from canfb.errors import CanfbError, ConfigError, saying
 
 
 def read_bytes(path: Path, refuse: type[Exception]) -> bytes:
-    """``refuse``, a line."""
+    """``refuse`` is raised, in one line."""
     with saying(refuse, f"{path}: cannot be read", OSError):
         return path.read_bytes()
 
