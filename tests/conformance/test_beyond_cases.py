@@ -191,31 +191,18 @@ def test_beyond_16_no_answer_where_none_is_allowed(tester: Tester) -> None:
     assert tester.remote(can_id) + tester.wait(1.0) == []
 
 
-def synchronous(tester: Tester) -> int:
+@pytest.mark.parametrize(("overflow", "wrong", "right"), [(0, ("01", "02"), ""), (10, ("", "01 02"), "05")])
+def test_beyond_17_a_counter_not_expected_or_missing(
+    tester: Tester, overflow: int, wrong: tuple[str, str], right: str
+) -> None:
+    if overflow:
+        tester.write(0x1019, 0, overflow, 1)
     can_id = tester.set_up_tpdo(tester.valid_tpdos[0], "01")
     tester.operational()
-    return can_id
-
-
-def test_beyond_17_a_counter_not_expected(tester: Tester) -> None:
-    can_id = synchronous(tester)
-    first = tester.send(SYNC, "01")
-    second = tester.send(SYNC, "02")
+    first, second = (tester.send(SYNC, counter) for counter in wrong)
     assert tester.emergencies(first + second) == ["8240"]
     assert [len(only(frames, can_id)) for frames in (first, second)] == [0, 0]  # no SYNC, always
-    good = tester.send(SYNC)
-    assert tester.emergencies(good) == ["0000"]
-    assert len(only(good, can_id)) == 1
-
-
-def test_beyond_17_a_counter_that_is_missing(tester: Tester) -> None:
-    tester.write(0x1019, 0, 10, 1)
-    can_id = synchronous(tester)
-    first = tester.send(SYNC)
-    second = tester.send(SYNC, "01 02")
-    assert tester.emergencies(first + second) == ["8240"]
-    assert [len(only(frames, can_id)) for frames in (first, second)] == [0, 0]
-    good = tester.send(SYNC, "05")
+    good = tester.send(SYNC, right)
     assert tester.emergencies(good) == ["0000"]
     assert len(only(good, can_id)) == 1
 

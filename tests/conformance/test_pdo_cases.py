@@ -71,16 +71,12 @@ def test_pdo_03_remote_frame(tester: Tester, kind: str) -> None:
         assert len(bytes.fromhex(data)) == lengths[number]
 
 
-def times_of(frames: list[Heard], can_id: int) -> list[float]:
-    return [frame.time for frame in frames if frame.can_id == can_id]
-
-
 def test_pdo_04_and_05_event_timer(tester: Tester) -> None:
     can_ids = set_up(tester, "FE", "01", timer_ms=100)
     begin = tester.now
     heard = tester.wait(10.0)
     for can_id in can_ids:
-        times = times_of(heard, can_id)
+        times = [frame.time for frame in heard if frame.can_id == can_id]
         assert 99 <= len(times) <= 101
         assert times[0] - begin <= 0.11
         assert all(0.09 < b - a < 0.11 for a, b in pairwise(times))

@@ -113,27 +113,19 @@ def test_pdo_24_mapping_of_a_valid_pdo(tester: Tester) -> None:
         assert tester.read(pdo.mapping, 1) == before
 
 
-def map_eight(tester: Tester, pdo: Pdo, size: int) -> None:
-    entry = one(tester.eds.mappable(*pdo.access, size=size))
-    empty(tester, pdo)
-    for sub in range(1, 9):
-        tester.accept(mapping(pdo, entry.mapping, sub))
-
-
-def test_pdo_25_more_objects_than_places(tester: Tester) -> None:
+@pytest.mark.parametrize(("size", "too_many", "taken"), [(1, ("09",), "08"), (4, ("08", "03"), "02")])
+def test_pdo_25_and_26_more_objects_than_places_and_more_bits_than_a_frame_has(
+    tester: Tester, size: int, too_many: tuple[str, ...], taken: str
+) -> None:
     for pdo in pdos(tester):
-        map_eight(tester, pdo, size=1)
-        assert tester.refuse(f"2F {m(pdo.mapping)} 09", *LENGTH) == "06040042"
-        assert tester.read(pdo.mapping) == 0
-        tester.accept(f"2F {m(pdo.mapping)} 08")
-
-
-def test_pdo_26_more_bits_than_a_frame_has(tester: Tester) -> None:
-    for pdo in pdos(tester):
-        map_eight(tester, pdo, size=4)
-        assert tester.refuse(f"2F {m(pdo.mapping)} 08", *LENGTH) == "06040042"
-        tester.refuse(f"2F {m(pdo.mapping)} 03", *LENGTH)
-        tester.accept(f"2F {m(pdo.mapping)} 02")
+        entry = one(tester.eds.mappable(*pdo.access, size=size))
+        empty(tester, pdo)
+        for sub in range(1, 9):
+            tester.accept(mapping(pdo, entry.mapping, sub))
+        for number in too_many:
+            assert tester.refuse(f"2F {m(pdo.mapping)} {number}", *LENGTH) == "06040042"
+            assert tester.read(pdo.mapping) == 0
+        tester.accept(f"2F {m(pdo.mapping)} {taken}")
 
 
 def takes(tester: Tester, pdo: Pdo, *values: int) -> None:

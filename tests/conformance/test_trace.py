@@ -14,12 +14,6 @@ from test_beyond_sdo_cases import IDENTITY
 TSHARK = shutil.which("tshark")
 
 
-def lss_session(tester: Tester) -> None:
-    """Global configuration mode, inquiries, back to waiting."""
-    for request in ("04 01", "5A", "5B", "5C", "5D", "5E", "04 00"):
-        tester.send(0x7E5, filled(request))
-
-
 def sdo_session(tester: Tester) -> None:
     tester.read(0x1000)
     tester.write(0x1017, 0, 1000, 2)
@@ -67,7 +61,8 @@ def session() -> Tester:
     process_session(tester)
     guarding_session(tester)
     tester.nmt("02")
-    lss_session(tester)
+    for request in ("04 01", "5A", "5B", "5C", "5D", "5E", "04 00"):  # LSS: what it is, to be told
+        tester.send(0x7E5, filled(request))
     tester.nmt("81")
     return tester
 
