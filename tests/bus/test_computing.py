@@ -136,17 +136,12 @@ def test_what_is_not_wanted_any_more_is_killed(computer: Any) -> None:
     assert one.results == [1]
 
 
-def recorded() -> CalibrationJob:
-    rng = np.random.default_rng(1)
+def test_the_job_of_the_module_gives_the_same_there_as_here(computer: Any) -> None:
     recording = SampleRecording()
     position = 0.31 * np.arange(2000) + 2.0 * np.sin(np.arange(2000) / 170.0)
-    for sine, cosine in zip(*Encoder(noise_lsb=0.5).sample(position, rng), strict=True):
+    for sine, cosine in zip(*Encoder(noise_lsb=0.5).sample(position, np.random.default_rng(1)), strict=True):
         recording.take(int(sine), int(cosine))
-    return CalibrationJob(recording.to_bytes(), None, 12)
-
-
-def test_the_job_of_the_module_gives_the_same_there_as_here(computer: Any) -> None:
-    job = recorded()
+    job = CalibrationJob(recording.to_bytes(), None, 12)
     device = computer(job)
     device.poll_until(lambda: bool(device.results))
     there, here = device.results[0], job()

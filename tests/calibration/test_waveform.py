@@ -23,16 +23,12 @@ from canfb.simulation.encoder import Encoder
 ORDERS = (1, 2, 3, 5)
 
 
-def _waveform(encoder: Encoder) -> Waveform:
-    """The encoder's tracks as a Fourier series, by least squares over one cycle."""
-    position = np.arange(512) / 512
-    tracks = np.column_stack(encoder.tracks(position))
-    solution = np.linalg.lstsq(basis(position, ORDERS), tracks, rcond=None)[0].astype(np.float64)
-    return Waveform(ORDERS, solution.T)
-
-
 def test_sensitivity_is_the_change_of_the_table():
-    waveform = _waveform(random_encoder(np.random.default_rng(6), 0.0))
+    """The waveform is the encoder's tracks as a Fourier series, by least squares over one cycle."""
+    position = np.arange(512) / 512
+    tracks = np.column_stack(random_encoder(np.random.default_rng(6), 0.0).tracks(position))
+    solution = np.linalg.lstsq(basis(position, ORDERS), tracks, rcond=None)[0].astype(np.float64)
+    waveform = Waveform(ORDERS, solution.T)
     conditioning = Conditioning(15.0, 5.0, 0.95, 1.05, -0.08)
     sensitivity = table_sensitivity(waveform, conditioning)
     raw = raw_phase_curve(waveform, conditioning)[: -1 : (len(grid_phases()) - 1) // 256]
@@ -59,15 +55,6 @@ def test_table_is_shifted_only_if_it_must():
         assert refusal(table_from_phases, phases).reason == "monotonic"
 
 
-def _encoder(rng: np.random.Generator, noise_lsb: float = 0.5) -> Encoder:
-    return Encoder(
-        amplitude_counts=rng.uniform(600.0, 1200.0),
-        sine_offset=rng.uniform(-0.5, 0.5), cosine_offset=rng.uniform(-0.5, 0.5),
-        sine_amplitude=rng.uniform(0.7, 1.3), cosine_amplitude=rng.uniform(0.7, 1.3),
-        phase_error_rad=rng.uniform(-0.6, 0.6), noise_lsb=noise_lsb,
-    )  # fmt: skip
-
-
 def _error(found: Conditioning, encoder: Encoder) -> tuple[float, float, float]:
     """Errors of the offsets in counts, of the ratio of the gains, and of the phase error in radians."""
     a = encoder.amplitude_counts
@@ -87,7 +74,12 @@ def _error(found: Conditioning, encoder: Encoder) -> tuple[float, float, float]:
 def test_offset_gain_and_phase_are_found(seed, standstill, faulty, offset_counts, goal):
     """A long standstill does not weigh, faults are left out."""
     rng = np.random.default_rng(seed)
-    encoder = _encoder(rng)
+    encoder = Encoder(
+        amplitude_counts=rng.uniform(600.0, 1200.0),
+        sine_offset=rng.uniform(-0.5, 0.5), cosine_offset=rng.uniform(-0.5, 0.5),
+        sine_amplitude=rng.uniform(0.7, 1.3), cosine_amplitude=rng.uniform(0.7, 1.3),
+        phase_error_rad=rng.uniform(-0.6, 0.6), noise_lsb=0.5,
+    )  # fmt: skip
     position = np.append(np.full(standstill, 0.17), rng.random(5000))
     sine, cosine = encoder.sample(position, rng)
     at = rng.random(len(sine)) < faulty

@@ -24,12 +24,9 @@ def subparsers(parser: argparse.ArgumentParser) -> Any:
     return found
 
 
-def summaries(parser: argparse.ArgumentParser) -> dict[str, str | None]:
-    return {choice.dest: choice.help for choice in subparsers(parser)._choices_actions}
-
-
 def test_every_command_is_in_the_table_as_the_files_register_it() -> None:
-    assert summaries(build_parser()) == {name: summary for name, (_, summary) in COMMANDS.items()}
+    shown = {choice.dest: choice.help for choice in subparsers(build_parser())._choices_actions}
+    assert shown == {name: summary for name, (_, summary) in COMMANDS.items()}
     folder = Path(table.__file__).parent
     registering = {file.stem for file in folder.glob("*.py") if "\ndef register(" in file.read_text()}
     assert {file for file, _ in COMMANDS.values()} == registering

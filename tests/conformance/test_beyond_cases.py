@@ -160,18 +160,8 @@ def test_beyond_15_inhibit_time(module: Tester) -> None:
     assert counts == [1, 4, 8, 10]
 
 
-def remote_only_refused(tester: Tester, index: int, kind: int, *, valid: bool) -> None:
-    """On remote frames, and none allowed: refused with the type, or when the PDO is made valid."""
-    if valid:
-        tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
-        return
-    before, cob_id = tester.read(index, 2), tester.read(index, 1)
-    tester.write(index, 2, kind, 1)
-    tester.refuse(f"23 {m(index, 1)} {little(cob_id & 0x7FFFFFFF, 4)}", "06090030")
-    tester.write(index, 2, before, 1)
-
-
 def test_beyond_16_reserved_types(tester: Tester) -> None:
+    """On remote frames, and none allowed: refused with the type, or when the PDO is made valid."""
     indices = [0x1800 + number - 1 for number in tester.tpdos] + [
         0x1400 + number - 1 for number in tester.rpdos
     ]
@@ -180,7 +170,12 @@ def test_beyond_16_reserved_types(tester: Tester) -> None:
         for kind in range(0xF1, 0xFC if index >= 0x1800 else 0xFE):
             tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
         for kind in (0xFC, 0xFD) if index >= 0x1800 and cob_id >> 30 & 1 else ():
-            remote_only_refused(tester, index, kind, valid=not cob_id >> 31)
+            if not cob_id >> 31:
+                tester.refuse(f"2F {m(index, 2)} {kind:02X}", "06090030")
+                continue
+            tester.write(index, 2, kind, 1)
+            tester.refuse(f"23 {m(index, 1)} {little(cob_id & 0x7FFFFFFF, 4)}", "06090030")
+            tester.write(index, 2, before, 1)
         assert tester.read(index, 2) == before
 
 

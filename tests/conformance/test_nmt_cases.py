@@ -48,19 +48,14 @@ def guarding_works(tester: Tester, state: str) -> None:
     tester.accept("2B 17 10 00 F4 01")
 
 
-def remote_only_type(tester: Tester) -> list[int]:
-    """Types FDh where the TPDO may be asked for; elsewhere 06090030."""
+def test_state_02_pre_operational(tester: Tester) -> None:
     asked: list[int] = []
-    for number in tester.valid_tpdos:
+    for number in tester.valid_tpdos:  # type FDh where it may be asked for
         if tester.read(0x1800 + number - 1, 1) >> 30 & 1:
             tester.refuse(f"2F {m(0x1800 + number - 1, 2)} FD", "06090030")
         else:
             asked.append(tester.set_up_tpdo(number, "FD"))
-    return asked
-
-
-def test_state_02_pre_operational(tester: Tester) -> None:
-    for can_id in remote_only_type(tester):
+    for can_id in asked:
         assert tester.remote(can_id) == []
     can_ids = set_up_services(tester)
     guarding_works(tester, "7F")

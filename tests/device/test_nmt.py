@@ -134,11 +134,6 @@ def guard(bench: Bench) -> list[str]:
     return bench.send(0x700 + ID, rtr=True)
 
 
-def guarded(bench: Bench, guard_time_ms: int = 100, factor: int = 3) -> None:
-    assert bench.write(0x100C, 0, guard_time_ms, 2) == OK
-    assert bench.write(0x100D, 0, factor, 1) == OK
-
-
 def beat(bench: Bench) -> list[str]:
     return bench.send(0x700 + WATCHED, "05")
 
@@ -244,7 +239,7 @@ def test_whatever_comes_and_does_not_come(
 
 
 def test_a_new_life_time_runs_from_the_write_on_and_ends_no_error(bench: Bench) -> None:
-    guarded(bench)
+    assert (bench.write(0x100C, 0, 100, 2), bench.write(0x100D, 0, 3, 1)) == (OK, OK)
     guard(bench)
     bench.run(0.2)
     assert bench.write(0x100C, 0, 200, 2) == OK

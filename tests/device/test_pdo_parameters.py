@@ -139,17 +139,14 @@ def as_delivered() -> Bench:
     return BENCH
 
 
-def state_of(bench: Bench, index: int) -> State:
-    return {sub: bench.read(index, sub) for sub in SIZES if (index, sub) in bench.dictionary}
-
-
 @given(programs())
 def test_any_order_leads_to_any_state(program: tuple[int, State, list[tuple[int, int]]]) -> None:
     index, last, writes = program
     bench = as_delivered()
     assert bench.write(index, 1, bench.read(index, 1) | FREE, 4) == OK
     assert {bench.write(index, sub, value, SIZES[sub]) for sub, value in writes} == {OK}
-    assert state_of(bench, index) == last | {1: last[1] | FREE}
+    state = {sub: bench.read(index, sub) for sub in SIZES if (index, sub) in bench.dictionary}
+    assert state == last | {1: last[1] | FREE}
     answer = bench.write(index, 1, last[1], 4)
     assert answer == (OK if is_legal(last) else AbortCode.INVALID_VALUE)
     assert bench.read(index, 1) == (last[1] if is_legal(last) else last[1] | FREE)

@@ -88,17 +88,6 @@ def test_the_files_agree() -> None:
     assert config.simulation.drive.node_id == NETWORK.nodes["drive"].node_id
 
 
-def written_for(words: dict[str, Any], folder: Path) -> None:
-    """Both YAML files with this bus, as the page says."""
-    assert "bus: {interface: udp_multicast, channel: 239.74.163.2}` into both YAML files" in PAGE
-    for name in ("feedback.yaml", "network.yaml"):
-        text = (FOLDER / name).read_text(encoding="utf-8")
-        bus = f"bus: {yaml.safe_dump(words, default_flow_style=True).strip()}"
-        text, count = re.subn(r"^bus: .*$", bus, text, count=1, flags=re.M)
-        assert count == 1
-        (folder / name).write_text(text.replace("../../eds", str(FOLDER.parents[1] / "eds")))
-
-
 def test_two_moves_and_an_alarm_between_them(
     multicast_bus: can.BusABC,
     multicast_words: dict[str, Any],
@@ -106,7 +95,13 @@ def test_two_moves_and_an_alarm_between_them(
     started: Callable[..., Process],
 ) -> None:
     (line,) = re.findall(r"`(canfb simulate feedback.yaml --pace sync)` in place", PAGE)
-    written_for(multicast_words, tmp_path)
+    assert "bus: {interface: udp_multicast, channel: 239.74.163.2}` into both YAML files" in PAGE
+    for name in ("feedback.yaml", "network.yaml"):
+        text = (FOLDER / name).read_text(encoding="utf-8")
+        bus = f"bus: {yaml.safe_dump(multicast_words, default_flow_style=True).strip()}"
+        text, count = re.subn(r"^bus: .*$", bus, text, count=1, flags=re.M)
+        assert count == 1
+        (tmp_path / name).write_text(text.replace("../../eds", str(FOLDER.parents[1] / "eds")))
     shutil.copytree(
         FOLDER, tmp_path / "programs", ignore=shutil.ignore_patterns("*.yaml", "*.md", "__pycache__")
     )

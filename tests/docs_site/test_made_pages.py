@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import re
-from collections.abc import Iterator
 from configparser import RawConfigParser
 from functools import cache
 from pathlib import Path
@@ -51,12 +50,6 @@ KINDS = [kind for _, kind, _ in SECTIONS] + list(source_kinds().values())
 commands, keys, objects = cache(commands_page), cache(keys_page), cache(objects_page)
 
 
-def units_in(text: str) -> Iterator[tuple[str, str]]:
-    """Object and unit, read from the text of an EDS by other means than the page."""
-    for unit, index, subindex in re.findall(r"^;Unit=(.*)\n\[(\w{4})(?:sub(\w+))?\]", text, re.MULTILINE):
-        yield f"{index.upper()}:{int(subindex or '0', 16):02X}", unit
-
-
 @pytest.mark.parametrize("name", ["canfb-module", "encoder-interface", "drive"])
 def test_every_object_is_there_with_its_unit_and_default(name: str) -> None:
     text = (EDS / f"{name}.eds").read_text(encoding="utf-8")
@@ -74,7 +67,10 @@ def test_every_object_is_there_with_its_unit_and_default(name: str) -> None:
             row = rows[f"{found[1].upper()}:{int(found[2] or '0', 16):02X}"]
             assert parser.get(section, "ParameterName").lower() in row[1].replace("\\", "").lower()
             assert row[6].strip("`") == parser.get(section, "DefaultValue", fallback="").strip()
-    units = dict(units_in(text))
+    units = {  # read by other means than the page
+        f"{index.upper()}:{int(subindex or '0', 16):02X}": unit
+        for unit, index, subindex in re.findall(r"^;Unit=(.*)\n\[(\w{4})(?:sub(\w+))?\]", text, re.MULTILINE)
+    }
     assert units
     for number, unit in units.items():
         assert rows[number][5].replace("\\", "") == unit

@@ -54,15 +54,6 @@ def cycles(first_s: float) -> list[tuple[float, can.Message]]:
     return plan
 
 
-def lss(*requests: str) -> list[can.Message]:
-    return [message(0x7E5, bytes.fromhex(request).ljust(8, b"\0")) for request in requests]
-
-
-def select(node_id: int) -> list[can.Message]:
-    """Find the newcomer by its serial number, and give it a node-ID."""
-    return lss("4000000000", "4101000000", "4201000000", f"43{SERIAL:02X}000000", f"11{node_id:02X}", "0400")
-
-
 class EndingBus(FakeBus):
     """Ends the program when all has been played, before a module misses the next SYNC."""
 
@@ -179,7 +170,11 @@ def test_two_with_the_same_node_id_are_noticed_and_both_go_on(
     play: Play, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin = NODES[1]
-    requests = [(0.5, request) for request in select(twin)]
+    by_serial_number = ("4000000000", "4101000000", "4201000000", f"43{SERIAL:02X}000000")
+    requests = [  # the newcomer is found, and gets a node-ID
+        (0.5, message(0x7E5, bytes.fromhex(request).ljust(8, b"\0")))
+        for request in (*by_serial_number, f"11{twin:02X}", "0400")
+    ]
     story = play([*requests, *cycles(1.0)])
     out, err = capsys.readouterr()
     assert story.status == 0

@@ -36,11 +36,6 @@ CHANGES: dict[str, dict[Group, bytes | None]] = {
 }
 
 
-def changed(before: dict[Group, bytes], changes: dict[Group, bytes | None]) -> dict[Group, bytes]:
-    after: dict[Group, bytes | None] = {**before, **changes}
-    return {group: image for group, image in after.items() if image is not None}
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return tmp_path / "lib" / "canfb"
@@ -265,7 +260,7 @@ def test_after_a_power_failure_or_an_error_at_any_call_the_old_or_the_new_set_is
 
     Where the disk keeps names and data, this is a process that is killed.
     """
-    after = changed(OLD, CHANGES[name])
+    after = {group: image for group, image in {**OLD, **CHANGES[name]}.items() if image is not None}
     finished = set()
     monkeypatch.setattr(state_files, "lock_file", lambda handle: None)
 
@@ -314,14 +309,6 @@ class HeldStore(MemoryStore):
         super().save(changes)
 
 
-def all_ended(store: ThreadedStore, count: int) -> list[OSError | None]:
-    """What has ended, with the load behind it as the sign that all has."""
-    store.load()
-    ended = store.ended()
-    assert len(ended) == count
-    return ended
-
-
 def test_it_goes_on_and_keeps_the_order() -> None:
     held = HeldStore()
     with contextlib.closing(ThreadedStore(held)) as store:
@@ -331,7 +318,8 @@ def test_it_goes_on_and_keeps_the_order() -> None:
         store.begin(NEW)
         assert store.ended() == []
         held.let.set()
-        first, second, third = all_ended(store, 3)
+        store.load()  # what stands before it has ended then
+        first, second, third = store.ended()
         assert (first, third) == (None, None)
         assert second is not None
         assert second.errno == errno.ENOSPC

@@ -176,13 +176,6 @@ def running(*samples: Sample | None, **words: Any) -> EncoderInterface:
     return operational(repeated(*samples), **words)
 
 
-def with_tpdo2(interface: EncoderInterface) -> EncoderInterface:
-    """TPDO2 is switched on as a master does it, by its COB-ID alone."""
-    (answer,) = interface.receive(download(0x1801, 1, 0x40000280 + NODE), 0.0)
-    assert answer.data[0] == 0x60
-    return interface
-
-
 @each(
     "times, sample, data",
     [
@@ -209,7 +202,10 @@ def test_the_sample_time_is_that_of_the_reception_by_the_clock_of_the_bus() -> N
 
 
 def test_tpdo2_holds_coarse_track_flags_and_zero_pulse() -> None:
-    interface = with_tpdo2(running(FULL, None, Sample(1, -2, invalid=True), FULL._replace(zero_pulse=1.0)))
+    """It is switched on as a master does it, by its COB-ID alone."""
+    interface = running(FULL, None, Sample(1, -2, invalid=True), FULL._replace(zero_pulse=1.0))
+    (answer,) = interface.receive(download(0x1801, 1, 0x40000280 + NODE), 0.0)
+    assert answer.data[0] == 0x60
     sent = [interface.receive(SYNC, 0.001 * n) for n in range(4)]
     assert [[frame.can_id for frame in frames] for frames in sent] == [
         [0x190, 0x290],

@@ -30,10 +30,6 @@ def without_blocks(bench: Bench) -> list[int]:
     return commands
 
 
-def commands_of(bench: Bench) -> list[int]:
-    return [frame.data[0] for frame in bench.master.sent if frame.can_id == 0x620]
-
-
 @pytest.mark.parametrize("blocks", [True, False])
 @pytest.mark.parametrize("entries", [16, 17, 256, 300, 4096])
 def test_a_domain_goes_there_and_back(blocks: bool, entries: int) -> None:
@@ -45,7 +41,7 @@ def test_a_domain_goes_there_and_back(blocks: bool, entries: int) -> None:
     bench.access.write(0x2020, 3, "I", table.crc32)
     heard: list[float] = []
     assert bench.access.upload_domain(0x2020, 1, heard.append) == table.to_bytes()
-    commands = commands_of(bench)
+    commands = [frame.data[0] for frame in bench.master.sent if frame.can_id == 0x620]
     assert (0xC6 in commands, 0xA4 in commands) == (True, True), "block transfer is tried first"
     assert (0x21 in commands, 0x40 in commands) == (not blocks, not blocks)
 

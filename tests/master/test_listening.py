@@ -144,21 +144,14 @@ def test_samples_that_stop_are_told_and_not_waited_for() -> None:
     assert bench.bus.now < 5.0
 
 
-def write_mapping(bench: Bench, node: NodeAccess, first: int, entries: list[int]) -> None:
-    """TPDO or RPDO 1 of a node, by SDO as the standard wants it."""
-    cob_id = node.integer(first, 1, "I")
-    node.write(first, 1, "I", cob_id | OFF)
-    node.write(first + 0x200, 0, "B", 0)
-    for n, entry in enumerate(entries, start=1):
-        node.write(first + 0x200, n, "I", entry)
-    node.write(first + 0x200, 0, "B", len(entries))
-    node.write(first, 1, "I", cob_id)
-
-
 def test_another_mapping_and_cob_id_are_found() -> None:
     bench = Bench(sync=False, operational=False)
     node = bench.interface_access
-    write_mapping(bench, node, 0x1800, [0x64010210, 0x64010310, 0x64010110])
+    node.write(0x1800, 1, "I", OFF | node.integer(0x1800, 1, "I"))
+    node.write(0x1A00, 0, "B", 0)
+    for n, entry in enumerate((0x64010210, 0x64010310, 0x64010110), start=1):
+        node.write(0x1A00, n, "I", entry)
+    node.write(0x1A00, 0, "B", 3)
     for one, index in ((node, 0x1800), (bench.access, 0x1400)):
         one.write(index, 1, "I", OFF | 0x1C5)
         one.write(index, 1, "I", 0x1C5)

@@ -246,10 +246,6 @@ FACTORS = st.integers(0, U32)
 CYCLES = st.floats(-1e6, 1e6)
 
 
-def nearest(value: Fraction) -> int:
-    return max(-0x8000, min(round(value), 0x7FFF))
-
-
 @examples(300)
 @given(
     CYCLES,
@@ -284,7 +280,8 @@ def test_speed_and_acceleration_are_scaled_and_saturated(
     ):
         exact = sign * Fraction(value) * units / cycles / time * factor / (divisor or units)
         given_value = dictionary.entry(index, 1).current()
-        assert abs(given_value - nearest(exact)) <= 1, index  # a float may round the other way
+        nearest = max(-0x8000, min(round(exact), 0x7FFF))
+        assert abs(given_value - nearest) <= 1, index  # a float may round the other way
         if abs(exact) > 32768:
             assert given_value == (0x7FFF if exact > 0 else -0x8000)
 
@@ -297,17 +294,12 @@ def test_saturation(value: float, object_value: int) -> None:
     assert saturated(value) == object_value
 
 
-def turning(bench: Bench, step: float = 0.25, samples: int = 40) -> None:
-    """Cycles per sample, at 1 kHz and with one cycle per revolution as configured below."""
-    bench.sdo[0x1006].raw = 1000
-    for n in range(samples):
-        bench.at(n * step)
-
-
 def test_the_defaults_are_per_minute_and_revolutions_per_square_second() -> None:
     bench = Bench(cycles_per_revolution=100)
     bench.start()
-    turning(bench)
+    bench.sdo[0x1006].raw = 1000
+    for n in range(40):
+        bench.at(n * 0.25)
     assert bench.sdo[0x6030][1].raw == pytest.approx(0.25 * 10 * 60, abs=1)  # 2.5 revolutions per second
     bench.sdo[0x6000].raw = 1
     assert bench.sdo[0x6030][1].raw == pytest.approx(-150, abs=1)
@@ -394,13 +386,6 @@ def test_the_work_area(position: int, low: int, high: int) -> None:
         assert state == OUT_OF_RANGE | (OVERFLOW if over else UNDERFLOW)
 
 
-def scaled(bench: Bench) -> Bench:
-    """1000 units per cycle, range 10 cycles."""
-    bench.sdo[0x6001].raw, bench.sdo[0x6002].raw = 2_500_000, 10_000
-    bench.sdo[0x6000].raw = 4
-    return bench
-
-
 def walk(bench: Bench, *cycles: float) -> list[int]:
     """The cam states at these positions, reached in steps of less than the residual limit."""
     states = []
@@ -415,7 +400,10 @@ def walk(bench: Bench, *cycles: float) -> list[int]:
 
 @pytest.fixture
 def machine(bench: Bench) -> Bench:
-    scaled(bench).place = 0.5
+    """1000 units per cycle, range 10 cycles; at half a cycle."""
+    bench.sdo[0x6001].raw, bench.sdo[0x6002].raw = 2_500_000, 10_000
+    bench.sdo[0x6000].raw = 4
+    bench.place = 0.5
     bench.at(0.5)
     return bench
 

@@ -36,18 +36,12 @@ IDENTITY = Identity(0, 1, 1)
 TABLE = wavy_table()
 
 
-@pytest.fixture
-def store() -> MemoryStore:
-    return MemoryStore()
-
-
 # What must not be used.
 
 
 @pytest.mark.parametrize("ended_by", ["save", "load"])
-def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm_until(
-    store: MemoryStore, ended_by: str
-) -> None:
+def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm_until(ended_by: str) -> None:
+    store = MemoryStore()
     first = Bench(store)
     first.sdo[0x2010][3].raw = 9
     first.sdo[0x1017].raw = 0
