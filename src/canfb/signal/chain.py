@@ -52,6 +52,7 @@ class SignalChain:
         self.sample_grid = self.times.grid  # The clock of the encoder interface, by the sample times so far.
         self._per_sync = 1
         self._left_out = 0.0  # since then, of samples that were crowded
+        self._unused = 0.0  # and of those with a wrong time that were not used, as the machine had moved
         self._untimed_unit_s = config.interval_s
         self.set_limits(config.chain_limits)
 
@@ -220,7 +221,7 @@ class SignalChain:
 
     def _forget_times_of_samples(self, keep_interval: bool = False) -> None:
         (self.times.forget if keep_interval else self.times.reset)()
-        self._left_out = 0.0
+        self._left_out = self._unused = 0.0
 
     def slips(self, intervals: float) -> bool:
         """Within these intervals of SYNC the machine moves so far that its phase could mislead."""
@@ -275,13 +276,13 @@ class SignalChain:
                 return self._restarted(sample)
             times.waited += elapsed
             # One of a machine that creeps would be right, and its speed by the count wrong by far.
-            return self.after(
-                sample,
-                elapsed,
-                placed=self.begun
+            placed = (
+                self.begun
                 and stages.is_near(sample.sine, sample.cosine)
-                and not (self.lost or self.slips(times.off) or self._pauses.creeps),
+                and not (self.lost or self.slips(times.off) or self._pauses.creeps)
             )
+            self._unused += elapsed * (not placed)
+            return self.after(sample, elapsed, placed=placed)
         if passed <= times.waited:  # what was waited for did not pass
             return self._restarted(sample, least=float("inf"))
         next_one = elapsed + times.waited < HOLE_INTERVALS
@@ -289,7 +290,7 @@ class SignalChain:
         placed = self._per_sync == 1 or abs(passed - counted) < HOLE_INTERVALS - 1.0
         if self.measures_intervals or (not placed and self.slips(abs(passed - counted))):
             elapsed = passed - times.waited  # what was waited for is counted already
-        times.waited = self._left_out = 0.0
+        times.waited = self._left_out = self._unused = 0.0
         return self.after(sample, elapsed, placed=placed, next_one=next_one)
 
     def withheld(self, feedback: Feedback) -> Feedback:
@@ -305,10 +306,10 @@ class SignalChain:
         intervals = max(least, self.times.passed) if self._pauses.creeps else 1.0
         lost = (
             self.lose()
-            if self.stages.estimator.undecided or (self.stages.estimator.in_doubt and least < float("inf"))
+            if self.stages.estimator.undecided or (self.stages.estimator.in_doubt and self._unused)
             else self.uncertain(intervals)
         )
-        self.times.waited = self._left_out = 0.0
+        self.times.waited = self._left_out = self._unused = 0.0
         if self.lost:  # what its times say of the speed begins here
             self.stages.estimator.lose(LossCause.TIME, starts=False)
         return self.after(sample._replace(time_100ns=None), sample.elapsed) if lost is None else lost
