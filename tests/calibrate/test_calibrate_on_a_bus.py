@@ -195,15 +195,16 @@ def test_a_bad_measurement_is_refused_and_nothing_changes(
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "motion", "words"),
     [
-        (lambda counts: (counts[0] + 60, counts[1]), "on fresh samples the table leaves .* was predicted"),
-        (lambda counts: (700, -1200), "at standstill"),
+        (lambda counts: (counts[0] + 60, counts[1]), None, "on fresh samples the table leaves .* predicted"),
+        (lambda counts: counts, Motion((), (Ripple(0.05, 8.0),), 0.8), "within two cycles: .* faster"),
+        (lambda counts: (700, -1200), None, "at standstill"),
     ],
-    ids=["the encoder changes", "the machine stops"],
+    ids=["the encoder changes", "the machine is slow and ripples", "the machine stops"],
 )
-def test_what_does_not_keep_its_promise_is_taken_back(change: Any, words: str) -> None:
-    bench = Bench()
+def test_what_does_not_keep_its_promise_is_taken_back(change: Any, motion: Motion | None, words: str) -> None:
+    bench = Bench(motion=motion)
     bench.bus.run_until(0.1)
 
     def happen(now: float) -> None:

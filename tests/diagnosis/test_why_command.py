@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shlex
 import stat
@@ -20,9 +21,11 @@ from canfb.diagnosis.lost import MOTION, Loss, LostPosition, read_lost_position
 from canfb.hosting import self_diagnosis
 from canfb.objects import LossCause, StatusBit
 from canfb.rows import age_words
+from canfb.simulation.embedded_bus import SyncProducer
+from canfb.simulation.encoder import Motion
 from canfb.view.module_view import limit_settings
 from commands import Command
-from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder
+from commissioning_kit import CYCLES, INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder
 from documentation import blocks, page
 from folding import each
 from node_commands import Commands, abort, between, place_of
@@ -183,6 +186,19 @@ def test_a_limit_that_was_too_narrow_is_named_also_after_it_was_set_back(canfb: 
     assert "; limit 0.000107 cycle\n" in out
     named = "the residual limit was 0.000107 cycle and is 0.333 cycle now: 2010:01 was written since"
     assert (named if back else "2010:01 is 0.000107 cycle, and the declared") in out
+
+
+@each("needed", [0.25, 0.45])
+def test_what_the_limits_need_is_that_of_a_slow_sync(canfb: Commands, needed: float) -> None:
+    bench = Bench(motion=Motion(()), sync=False)
+    bench.bus.attach(SyncProducer(0.2))
+    bench.bus.run_until(2.0)
+    bench.access.write(*od.SUPERVISION_ACCELERATION, "f", (needed - 0.05) * 2.0 * math.pi / CYCLES / 0.2**2)
+    for _ in range(4):
+        bench.bus.run_until(bench.bus.now + 0.06)
+        out, _ = canfb(bench, "sdo", "write", NODE, "2010:0C", "0.0125 cycle")
+        said = [float(one) for one in re.findall(r"\(2010:0C\) need (\S+):", out)]
+        assert said == [pytest.approx(needed, rel=0.25)] * (needed > 1.0 / 3.0)
 
 
 def test_2010_03_counts_intervals_of_sync() -> None:

@@ -12,6 +12,7 @@ from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
 from canfb.master.access import CommissioningError, nmt_state, state_in, without_restart
 from canfb.master.all_or_nothing import check_unlocked
+from canfb.simulation.embedded_bus import REGULAR, SyncProducer
 from canfb.simulation.encoder import Motion, Ramp, Ripple
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, heard
 from node_commands import Commands
@@ -153,6 +154,16 @@ def at_a_whole_cycle() -> Bench:
     return bench
 
 
+def slow(rate_hz: float) -> Bench:
+    """Lost in motion; it stands still for 60 samples."""
+    bench = Bench(motion=Motion((Ramp(0.05, 7.0), Ramp(0.05, 0.0))), sync=False)
+    bench.bus.attach(SyncProducer(1.0 / rate_hz, REGULAR))
+    bench.source.change = lambda counts: None if 40.0 < bench.bus.now * rate_hz < 50.0 else counts
+    bench.bus.run_until(160.0 / rate_hz)
+    assert bench.value(0x2011, 1) & 4
+    return bench
+
+
 # A millicycle to and fro, around a place where the phase wraps.
 HELD = Motion((), (Ripple(60.0 * 0.001 * 6.28 * 5.0 / CYCLES, 5.0),))
 CASES: list[tuple[Callable[[], Bench], tuple[str, ...], str]] = [
@@ -160,6 +171,8 @@ CASES: list[tuple[Callable[[], Bench], tuple[str, ...], str]] = [
     (lambda: running(STILL), ("--force",), "machine not looked at"),
     (lambda: running(Motion((), (), 0.6)), ("--force",), "reset and started, but its position is lost"),
     (lambda: running(Motion((Ramp(1.2, 0.0), Ramp(0.3, 20.0)))), (), "began to move while it was reset"),
+    (lambda: slow(5.0), (), "position valid"),
+    (lambda: slow(100.0), (), "position valid"),
     (lambda: running(STILL, sync=False), (), "so it cannot be seen whether the machine stands still"),
     (silent, (), "so it cannot be seen whether the machine stands still"),
     (at_a_whole_cycle, (), "the machine moves, it has moved by +"),

@@ -167,7 +167,8 @@ def check_as_predicted(found_rms: float, predicted_rms: float, uncertainty_rms: 
     if found_rms > WORSE * predicted_rms + uncertainty_rms:
         raise CommissioningError(
             f"on fresh samples the table leaves {100 * found_rms:.3g} % of a cycle rms, "
-            f"{100 * predicted_rms:.3g} % was predicted: something has changed since"
+            f"{100 * predicted_rms:.3g} % was predicted: something has changed since, or the speed ripples "
+            "within two cycles: let the machine turn faster"
         )
 
 

@@ -21,7 +21,7 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, NmtCommand, NmtState
 from canfb.errors import CanfbError, reason
-from canfb.signal.speeds import apart
+from canfb.signal.speeds import STILL_SAMPLES, apart
 
 # :class:`canfb.bus.sdo_channel.SharedClient`: canopen's client, with its turn and what disturbed it.
 Client = Any
@@ -162,6 +162,10 @@ class NodeAccess:
     """Objects of one node by SDO. CommissioningError for what fails."""
 
     def __init__(self, master: Master, node_id: int, name: str) -> None:
+        if node_id > cob.NODE_ID:
+            raise CommissioningError(
+                f"the {name} has no node-ID yet: assign one by LSS, and name that NODE beside --config"
+            )
         self.master = master
         self.node_id = node_id
         self.name = f"{name} {node_id} ({node_id:02X}h)"
@@ -328,11 +332,10 @@ def _wait_until(master: Master, within_s: float, holds: Callable[[], object]) ->
     return held
 
 
-WATCH_S = 0.6
-LEAST_SAMPLES = 10  # of those in which it is watched
+LEAST_SAMPLES = 100  # in which it is watched where its position is known: 0.0002 cycle a sample is seen
+PATIENCE_S = 2.0  # for the next sample
 LARGEST_SPREAD_CYCLES = 0.02  # of the phase at standstill: noise, and a drive that holds its position
-BOOT_UP_S = 5.0
-VALID_S = 5.0  # a position that was lost is valid again after 256 samples at standstill
+BOOT_UP_S = 5.0  # and until its position is valid
 UNITS = 65536.0
 
 
@@ -351,37 +354,36 @@ class MachineLook:
     @property
     def text(self) -> str:
         if self.counted_cycles:
-            return f"it has moved by {self.counted_cycles:+d} cycles in {WATCH_S:g} s"
+            return f"it has moved by {self.counted_cycles:+d} cycles in {self.samples} samples"
         return f"its phase spreads over {self.spread_cycles:.3f} cycle in {self.samples} samples"
 
 
 def watch_standstill(module: NodeAccess) -> MachineLook:
     master = module.master
-    began = master.now()
-    first: float | None = None
-    low = high = 0.0
-    seen: set[int] = set()
+    seen: dict[int, float] = {}  # phases, by the number of the sample
     counts: list[int] = []
-    while master.now() - began < WATCH_S:
+    known = module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID
+    least = LEAST_SAMPLES if known else STILL_SAMPLES  # a lost one needs so many equal ones before its reset
+    newest = Unchanged(master, 0)
+    while len(seen) < least and newest.seconds(len(seen)) < PATIENCE_S:
         status = module.integer(*od.FEEDBACK_STATUS, "H")
         number = module.integer(*od.FEEDBACK_SAMPLES, "I")
         phase = module.integer(*od.FEEDBACK_RAW_PHASE, "H") / UNITS
         if status & od.StatusBit.VALID:
             counts.append(module.integer(*od.FEEDBACK_CYCLE_COUNT, "q"))
         if not status & od.StatusBit.MISSED:
-            seen.add(number)
-            first = phase if first is None else first
-            low, high = min(low, apart(phase, first)), max(high, apart(phase, first))
+            seen[number] = phase
         master.wait(STEP_S)
-    if len(seen) < LEAST_SAMPLES:
+    if len(seen) < least:
         raise CommissioningError(
-            f"{module.name}: {len(seen)} samples in {WATCH_S:g} s, so it cannot be seen whether the machine "
-            "stands still: SYNC, encoder interface and module must run (canfb node start). --force resets it "
-            "nevertheless"
+            f"{module.name}: {len(seen)} samples, then none for {PATIENCE_S:g} s, so it cannot be seen "
+            "whether the machine stands still: SYNC, encoder interface and module must run (canfb node "
+            "start). --force resets it nevertheless"
         )
+    off = [apart(phase, next(iter(seen.values()))) for phase in seen.values()]
     # A cycle more or less is a phase near 0, which goes to and fro with its noise.
     moved = counts[-1] - counts[0] if counts else 0
-    return MachineLook(high - low, len(seen), moved if abs(moved) > 1 else 0)
+    return MachineLook(max(off) - min(off), len(seen), moved if abs(moved) > 1 else 0)
 
 
 def reset_nodes(
@@ -427,7 +429,9 @@ def reset_module(
     if not force:
         _refuse_motion(module)
     _restart(module, command)
-    _wait_until(module.master, VALID_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID)
+    _wait_until(
+        module.master, BOOT_UP_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID
+    )
     status = module.integer(*od.FEEDBACK_STATUS, "H")
     if not status & od.StatusBit.VALID:
         words = ", ".join([str(od.position_state(status)), *od.fault_words(status)])

@@ -207,7 +207,8 @@ def _spoken(name: str) -> str:
 MOST_BYTES = 32
 _PART = re.compile(r"1/(\d+|2\^\d+) (\D.*)")
 SUPERVISION = (0x2001, 0x2010)
-WATCH_S = 0.3  # some samples, also at 50 Hz
+WATCH_S, LOOK_S = 2.0, 0.25  # for the rate of the samples
+RATE_SAMPLES = 40  # give it to 3 %; at slower SYNC as many as come
 
 
 @dataclass(frozen=True)
@@ -341,8 +342,10 @@ class SdoTasks:
     def _warning(self) -> str:
         node, master = self._node, self._node.master
         began, first = master.now(), node.integer(*od.FEEDBACK_SAMPLES, "I")
-        master.wait(WATCH_S)
-        samples = (node.integer(*od.FEEDBACK_SAMPLES, "I") - first) % (1 << 32)
+        samples = 0
+        while samples < RATE_SAMPLES and master.now() < began + WATCH_S:
+            master.wait(LOOK_S)
+            samples = (node.integer(*od.FEEDBACK_SAMPLES, "I") - first) % (1 << 32)
         if not self._is_valid():
             return f"the position is lost by it: canfb why {node.node_id:#04x} says what brings it back"
         limits = limit_settings(node.read_known)
