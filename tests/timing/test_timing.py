@@ -217,6 +217,20 @@ def test_another_rate_is_followed_and_lost_in_motion(rate: float, stamped: bool)
     assert set(got[-20:]) == {ON_TIME}
 
 
+@BOTH
+@given(rate=st.floats(1.9, 2.3), overflow=st.integers(10, 240))
+def test_a_sync_that_is_overdue_and_comes_is_no_turn_of_the_counter(
+    rate: float, overflow: int, stamped: bool
+) -> None:
+    producer, lost = Producer(stamped, overflow), 0
+    syncs = producer.syncs
+    for n in range(1, 80):
+        if BEGIN + (59 + rate * n) * T > syncs.until:
+            syncs.overdue(syncs.until)
+        lost += producer.sync(59 + rate * n, 59 + n).lost
+    assert lost == 0
+
+
 @given(shift=st.floats(0.35, 0.65))
 def test_another_phase_is_doubt_by_its_step(shift: float) -> None:
     producer = Producer()

@@ -150,9 +150,6 @@ class Estimator:
         self.places.append((last.cycles, last.phase, elapsed))
 
     def rescale(self, factor: float) -> None:
-        if factor >= LONG_INTERVAL and self._doubt is None and speeds.stood_still(self.places, 2):
-            self.resume()  # what was long ago says less than that the machine stands
-            return
         self.tracker.rescale(factor)
         self._speeds.rescale(factor)
         self._coasted *= factor

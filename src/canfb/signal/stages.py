@@ -12,7 +12,7 @@ from canfb.objects import LossCause
 from canfb.signal import speeds
 from canfb.signal.adaptation import AdaptConfig, FollowedDrift
 from canfb.signal.blocks import Scratch
-from canfb.signal.bounded_motion import HOLE_INTERVALS
+from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL
 from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.conditioner import Conditioner
 from canfb.signal.correction import Correction, CorrectionTable
@@ -144,7 +144,11 @@ class Stages:
 
     def rescale(self, factor: float) -> None:
         """Intervals are counted in a unit that is shorter by ``factor``."""
-        self.estimator.rescale(factor)
+        estimator = self.estimator
+        if factor >= LONG_INTERVAL and self.was_valid and speeds.stood_still(estimator.places, 2):
+            estimator.resume()  # what was long ago says less than that the machine stands
+        else:
+            estimator.rescale(factor)
         self._speed /= factor
 
     def sample_faster(self, factor: float) -> None:

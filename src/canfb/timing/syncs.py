@@ -200,6 +200,9 @@ class Syncs:
             return None
         return (counter - self._counter - 1) % self.overflow
 
+    def _nearest(self, missing: int, expected: int) -> int:
+        return missing + self.overflow * round((expected - missing) / self.overflow)
+
     def _taken(self, stamped: bool, lost: int, off: float = 0.0, doubt: float = 0.0) -> Judged:
         self.stamped, self.begun, self.extra_came = stamped, True, False
         self._assumed = False
@@ -222,7 +225,7 @@ class Syncs:
         if places < 1:
             return self._extra(time_s)
         if contradicts and missing is not None:
-            nearest = missing + self.overflow * round((places - 1 - missing) / self.overflow)
+            nearest = self._nearest(missing, places - 1)
             doubt = float(abs(nearest + 1 - places)) if on else 0.0
             places = max(1, nearest + 1)
             grid.skip(places)
@@ -247,8 +250,10 @@ class Syncs:
         doubt = max(1.0, grid.period / before_s) if changed else abs(off_s) / before_s
         self.late_s = 0.0
         self._grouped, self._earliest_s = 0, inf
-        lost = missing if missing is not None else 0 if changed else max(0, places - 1)
-        return self._taken(self.stamped, lost, doubt=doubt)
+        lost = 0 if changed else places - 1
+        if missing is not None:
+            lost = self._nearest(missing, lost)
+        return self._taken(self.stamped, max(0, lost), doubt=doubt)
 
     # Without.
 
@@ -258,8 +263,8 @@ class Syncs:
         late_s = time_s - grid.due - lost * grid.period
         most = turn - 1 + (HALF if self.late_s or self.extra_came else LATE)
         early, late = late_s < self._early_s(missing is not None), late_s > most * grid.period
-        if early and missing:
-            # It was due much later: a counter that jumped, or one of another producer.
+        if missing and (early or (self._assumed and missing == turn - 1)):
+            # It was due much later: a counter that jumped, or one of another producer; or it was overdue.
             doubt, lost, late_s = float(lost), 0, time_s - grid.due
         else:  # the line is good for as many places ahead as it was learned from
             ahead = late_s / (TOGETHER * grid.seen * grid.period)
