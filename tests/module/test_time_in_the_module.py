@@ -81,9 +81,9 @@ class Machine(Bench):
             truth = self.motion(self.sampled) - math.floor(self.motion(1))
             self.positions.append(Position(now / PERIOD_S, status, cycles, truth))
 
-    def sync_at(self, k: float) -> None:
+    def sync_at(self, k: float, at: float | None = None) -> None:
         counter = bytes([int(k - 1) % self.overflow + 1]) if self.overflow else b""
-        self.give(Frame(0x80, counter), float(k))
+        self.give(Frame(0x80, counter), float(k) if at is None else at)
 
     def sample(self, k: float, at: float | None = None, off: float = 0.0) -> None:
         """The ADC PDO with the sample of SYNC k, usually a quarter of a period after it."""
@@ -439,6 +439,41 @@ def test_a_machine_that_moves_when_sync_becomes_faster(
     places = [*range(1, 41), *(41.0 + k * rate for k in range(150))]
     machine.give_all([(k + late * min(1.0, rate), not late, k) for k in places for late in (0.0, ADC)])
     assert not [one for one in machine.positions if one.valid and abs(one.cycles - one.truth) > 0.5]
+
+
+DISTURBED = (
+    "SYNC lost",
+    "PDO lost",
+    "both lost",
+    "PDO late",
+    "PDO twice",
+    "SYNC extra",
+    "counter",
+    "host late",
+)
+
+
+@given(
+    st.integers(0), st.booleans(), st.booleans(), st.sampled_from([0, 20, 240]), st.sampled_from(DISTURBED)
+)
+def test_at_rest_only_silence_loses_the_position(
+    seed: int, stamped: bool, times: bool, overflow: int, disturbed: str
+) -> None:
+    machine = Machine(stamped and disturbed != "host late", lambda _at: 0.3, times=times, overflow=overflow)
+    draw = random.Random(seed)
+    host = 0.0  # until when no frame is read, though deadlines are served
+    for k in range(1, 150):
+        now = disturbed if k > 60 and not k % 20 else ""
+        host = max(host, k + draw.uniform(0.1, 1.9) * (now == "host late"))
+        number = k + draw.choice([1, 2, 5, -1]) * (now == "counter")
+        if now not in ("SYNC lost", "both lost"):
+            machine.sync_at(number, max(k, host))
+        for _ in range((now not in ("PDO lost", "both lost")) + (now == "PDO twice")):
+            late = draw.uniform(0.0, 0.6) * (now == "PDO late")
+            machine.sample(k, max(k + ADC + late, host))
+        if now == "SYNC extra":
+            machine.sync_at(k + draw.uniform(0.3, 0.98))
+    assert not [one for one in machine.positions if one.status & LOST]
 
 
 FAST_S, N = 1e-3, 2500  # period of SYNC, cycles per revolution

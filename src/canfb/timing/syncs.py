@@ -225,11 +225,12 @@ class Syncs:
         if places < 1:
             return self._extra(time_s)
         if contradicts and missing is not None:
-            nearest = self._nearest(missing, places - 1)
-            doubt = float(abs(nearest + 1 - places)) if on else 0.0
-            places = max(1, nearest + 1)
+            counted = self._nearest(missing, places - 1) + 1
+            doubt = float(abs(counted - places))
+            if not on and doubt <= 1.0:  # between two places the counter says which
+                places, doubt = max(1, counted), 0.0
             grid.skip(places)
-            return self._taken(True, places - 1, abs(off_s) / grid.period, doubt)
+            return self._taken(True, max(0, min(places, counted) - 1), abs(off_s) / grid.period, doubt)
         # A line through a few instants that jitter may be off by a place.
         doubt = float(missing is None and not grid.locked and (places > 1 or not on))
         # After one that was not in turn, a place may be hit by chance: by a producer at another rate.
@@ -263,8 +264,12 @@ class Syncs:
         late_s = time_s - grid.due - lost * grid.period
         most = turn - 1 + (HALF if self.late_s or self.extra_came else LATE)
         early, late = late_s < self._early_s(missing is not None), late_s > most * grid.period
-        if missing and (early or (self._assumed and missing == turn - 1)):
-            # It was due much later: a counter that jumped, or one of another producer; or it was overdue.
+        if early and self._assumed and missing == turn - 1:  # it was overdue, and comes: the place is its own
+            self.place -= 1
+            grid.skip(-1)
+            return self._by_order(time_s, 0)
+        if early and missing:
+            # It was due much later: a counter that jumped, or one of another producer.
             doubt, lost, late_s = float(lost), 0, time_s - grid.due
         else:  # the line is good for as many places ahead as it was learned from
             ahead = late_s / (TOGETHER * grid.seen * grid.period)
