@@ -106,7 +106,7 @@ def test_speed_and_acceleration_are_those_of_the_machine(per_sync: int, times: b
     for _ in range(227):  # the acceleration is constant between 10 and 40 ms of the move
         bus.sync()
     speed, acceleration = bus.read(od.FEEDBACK_VELOCITY), bus.read(od.FEEDBACK_ACCELERATION)
-    newest_s = START_S + 226 * PERIOD_S - (0.0 if per_sync == 1 else PERIOD_S / 16.0)
+    newest_s = START_S + 226 * PERIOD_S - PERIOD_S / 16.0
     between_s = bus.source.machine_time(newest_s) - PERIOD_S / per_sync / 2.0
     assert speed == pytest.approx(7850.0 * (between_s - 0.2 - 0.005), rel=0.01)
     assert acceleration == pytest.approx(7850.0, rel=0.05)
