@@ -301,7 +301,8 @@ class SignalChain:
     def _restarted(self, sample: Sample, least: float = 1.0) -> Feedback:
         """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
 
-        Its length is unknown: in doubt a machine moves; one that creeps may have, as the times say.
+        Its length is unknown: in doubt behind refused samples a machine moves; one that creeps may have, as
+        the times say.
         """
         intervals = max(least, self.times.passed) if self._pauses.creeps else 1.0
         lost = (
