@@ -247,11 +247,12 @@ def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool, 
     assert machine.right()
 
 
-@given(st.floats(0.05, 0.25), st.integers(101, 106), st.floats(0.0, 0.4), st.floats(0.02, 0.4))
+@given(st.floats(0.05, 0.24), st.integers(101, 105), st.floats(0.0, 0.4), st.floats(0.02, 0.4))
 @example(0.18, 102, 0.15, 0.05)
 def test_late_adc_pdos_while_it_gathers_speed(bend: float, k: int, early: float, left: float) -> None:
     """One comes when that of the next SYNC is due, and the next before a third."""
-    machine = Machine(True, lambda at: bend * max(0.0, at - 100) ** 2 / 2, {(0x2010, 0x0D): 0.6 * PERIOD_S})
+    declared = {(0x2010, 0x0D): 0.6 * PERIOD_S, (0x2010, 0x0B): 0x4000}  # 0.25 cycle per interval^2
+    machine = Machine(True, lambda at: bend * max(0.0, at - 100) ** 2 / 2, declared)
     machine.run(1, k)
     machine.give_all([(k, True, k), (k + 1 - early, True, k + 1), (k + 1 - early + ADC, False, k)])
     machine.sample(k + 1, k + 2 - min(left, early + 0.7 - ADC))
@@ -439,6 +440,27 @@ def test_a_machine_that_moves_when_sync_becomes_faster(
     places = [*range(1, 41), *(41.0 + k * rate for k in range(150))]
     machine.give_all([(k + late * min(1.0, rate), not late, k) for k in places for late in (0.0, ADC)])
     assert not [one for one in machine.positions if one.valid and abs(one.cycles - one.truth) > 0.5]
+
+
+@given(st.floats(0.03, 0.3), st.integers(1, 40), st.floats(0.0, 1.0), st.booleans(), st.booleans())
+def test_a_machine_that_begins_to_move_in_a_pause_is_lost(
+    speed: float, cycles: int, more: float, stamped: bool, times: bool
+) -> None:
+    """It is whole cycles further when samples come again, so that its phase does not show it, or not whole."""
+    length = 2.0 * (cycles + more * (more > 0.5)) / speed
+
+    def motion(at: float) -> float:
+        moved = min(max(0.0, at - 100.0), length)
+        return speed * (moved * moved / length / 2.0 + max(0.0, at - 100.0 - length))
+
+    machine = Machine(stamped, motion, times=times)
+    machine.run(1, 100)
+    machine.until(100)
+    machine.remote.nmt.state = "PRE-OPERATIONAL"
+    machine.until(99.5 + length)
+    machine.start()
+    again = machine.run(100 + math.ceil(length), 130 + math.ceil(length))
+    assert not [one for one in again if one.valid]
 
 
 DISTURBED = (

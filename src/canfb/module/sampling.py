@@ -8,11 +8,11 @@ from canfb.module.pairing import Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain
+from canfb.signal.stages import CONFIRMING_SAMPLES
 from canfb.timing.grid import MEMORY
 from canfb.timing.syncs import Syncs
 
 GRID_SYNCS = 1024  # of several samples for each SYNC, which are taken by its interval
-CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
 
 
 class Sampling:

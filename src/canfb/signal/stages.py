@@ -39,6 +39,7 @@ from canfb.signal.witness.second import SecondPosition
 from canfb.signal.witness.witness import CoarseTrack
 from canfb.signal.witness.zero_pulse import Pulse, ZeroPulse
 
+CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
@@ -76,7 +77,7 @@ class Stages:
 
     last: Feedback | None
     place: Track | Feedback | None
-    _way: tuple[float, float] | None
+    _way: tuple[float, float, int] | None
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None) -> None:
         check_config(config)
@@ -179,7 +180,10 @@ class Stages:
         if way_cycles == inf:
             self.lose_after_pause(starts)
         elif shows:
-            self._way = way_cycles / 2.0, abs(way_cycles) / 2.0 + spread_cycles + speeds.MOVED_CYCLES
+            due = self._tracker.places[1].phase + way_cycles / 2.0
+            most = abs(way_cycles) / 2.0 + spread_cycles
+            # One that stood and moves at once may have begun in the pause, and be whole cycles away.
+            self._way = due, most + speeds.MOVED_CYCLES, 1 if most else CONFIRMING_SAMPLES
 
     def lose_after_pause(self, starts: bool) -> None:
         self.estimator.lose(LossCause.PAUSE, starts)
@@ -191,7 +195,7 @@ class Stages:
         self.last = self.place = None
         self._sine = self._cosine = nan  # counts of the last sample
         self._speed, self.was_valid = 0.0, 0  # of the last sample
-        # Of the next phase after a pause, and how far it may be from that.
+        # The phase after a pause, how far it may be from that, and in how many samples.
         self._way = None
         self._expect(0.0)
 
@@ -282,9 +286,10 @@ class Stages:
         estimator.timed = timed
         measured = not (faults or bad) and phase == phase
         if measured and self._way is not None:
-            (way, most), self._way = self._way, None
-            # It has neither stopped nor gone on.
-            if abs(speeds.apart(phase, self._tracker.places[1].phase) - way) > most:
+            due, most, samples = self._way
+            away = abs(speeds.apart(phase, due)) > most  # It has neither stopped nor gone on.
+            self._way = None if away or samples == 1 else (due, most, samples - 1)
+            if away:
                 self.lose_after_pause(starts=False)
         track, bits = estimator.good(phase, elapsed) if measured else estimator.bad(elapsed, missed=unplaced)
         if bits & LOST and (not measured or bits & RESIDUAL):
@@ -350,7 +355,9 @@ class Stages:
 
     def _look_again(self, feedback: Feedback) -> None:
         estimator, frozen = self.estimator, self._frozen
-        in_doubt = estimator.in_doubt or self.reference.in_doubt or self.second is not None
+        in_doubt = (
+            estimator.in_doubt or self.reference.in_doubt or self.second is not None or self._way is not None
+        )
         self._stands = frozen.stands
         faulty = self._supervision.after_fault or (frozen.repeats and not self._stands)
         if feedback.status & VALID and not (in_doubt or faulty or estimator.searches):
