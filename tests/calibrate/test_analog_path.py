@@ -194,6 +194,7 @@ def test_a_path_is_found_and_removed(figures_of: Any, tmp_path: Path) -> None:
     assert [round(one["cycles_per_s"] * 60 / CYCLES) for one in found["speeds"]] == [61, 703, 3001]
     assert all(2e-5 < one["after_rms_cycles"] < 3e-4 for one in found["speeds"])
     assert all(one["before_rms_cycles"] > 5e-3 for one in found["speeds"])
+    assert found["before_peak_cycles"] > found["before_rms_cycles"] > 5e-3 > found["residual_peak_cycles"]
     top = found["speeds"][-1]
     true = -math.atan(top["cycles_per_s"] / 250e3) / (2.0 * math.pi)
     assert top["after_mean_cycles"] == pytest.approx(true, abs=2e-3)

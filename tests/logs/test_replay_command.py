@@ -61,6 +61,8 @@ def test_json(log: Path, command: Command) -> None:
     assert 0.0 < module["margins"]["residual"]["value"] <= 0.5
     assert module["margins"]["amplitude_high"]["margin"] < 0.0, "3000 of 2560 counts"
     assert module["drift"]["reason"]
+    (module,) = command("log replay --json --set max_acceleration_rad_s2=8", log).json["modules"]
+    assert [name for name, one in module["margins"].items() if one["margin"] < 0.0] == ["amplitude_high"]
 
 
 def test_files_have_all_samples(log: Path, tmp_path: Path, command: Command) -> None:

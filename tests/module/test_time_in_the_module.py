@@ -7,7 +7,7 @@ import random
 import struct
 from collections.abc import Callable
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import example, given, strategies as st
@@ -446,7 +446,7 @@ def test_a_machine_that_moves_when_sync_becomes_faster(
 def test_a_machine_that_begins_to_move_in_a_pause_is_lost(
     speed: float, cycles: int, more: float, stamped: bool, times: bool
 ) -> None:
-    """It is whole cycles further when samples come again, so that its phase does not show it, or not whole."""
+    """Its phase does not show it where it is whole cycles further when samples come again."""
     length = 2.0 * (cycles + more * (more > 0.5)) / speed
 
     def motion(at: float) -> float:
@@ -559,9 +559,12 @@ def test_what_is_no_machine_is_refused(bad: tuple[float, float]) -> None:
 
 
 def test_the_speeds_at_the_start_are_those_of_the_page() -> None:
-    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32))
-    assert module.speed_limit().endswith("200 rpm at ±10 µs, 20 rpm at ±100 µs")
-    assert canfb.FeedbackModule(canfb.ModuleConfig(node_id=32, times=True)).speed_limit() == ""
+    def words(**fields: Any) -> str:
+        return canfb.FeedbackModule(canfb.ModuleConfig(node_id=32, **fields)).speed_limit()
+
+    assert words().endswith("200 rpm at ±10 µs, 20 rpm at ±100 µs")
+    assert words(max_acceleration_rad_s2=0.25).endswith("30 rpm at ±10 µs, 3 rpm at ±100 µs")  # L - a is 4 e
+    assert words(times=True) == words(samples_per_sync=2) == ""
 
 
 def creeping(speed: float) -> Motion:

@@ -201,6 +201,8 @@ def test_a_configuration_and_options_before_it(tmp_path: Path, command: Command)
     assert other["modules"][0]["acceleration"]["stated_rad_s2"] == 3.0
     poor = written(tmp_path, "modules: [{node_id: 32, phase_error_cycles: 0.05}]\n")
     assert "first, for detection: set max_acc" in command("plan --acceleration 80", poor).out
+    for error, exceeds in ((0.05, False), (0.055, True)):
+        assert ("wrong; set 2010:02, 2010:0C" in command(f"plan --phase-error {error}", poor).out) is exceeds
 
 
 def test_a_drive_its_frames_and_its_torque(tmp_path: Path, command: Command) -> None:

@@ -20,6 +20,7 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError, ConfigError
 from canfb.interface.encoder_interface import EncoderInterface
+from canfb.module.module_config import ModuleConfig
 from canfb.objects import MachineCommand
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration
@@ -143,6 +144,10 @@ def test_a_motion_is_described() -> None:
         "motion: 60 rpm: up to 25 cycles per sample, acceleration up to 6.28 rad/s^2, the module follows "
         "8.38 at 100 Hz (eq. 10)"
     )
+    for most, is_enough in ((6.0, False), (6.3, True), (0.0, True)):
+        declared = ModuleConfig(node_id=1, max_acceleration_rad_s2=most)
+        demand = of_motion(MotionConfig(rpm=60, ramp_s=1.0), declared, 100.0)
+        assert ("2010:02" not in (demand.warning() or "")) is is_enough
 
 
 def test_a_drive_has_its_torque_and_its_friction() -> None:

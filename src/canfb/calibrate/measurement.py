@@ -8,7 +8,6 @@ several speeds: what the module is to compute with, the analog path with it.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import math
 from collections.abc import Sequence
@@ -173,11 +172,6 @@ class ErrorAtSpeed:
     mean_after: float
     deviation: Deviation
 
-    @property
-    def compared(self) -> Deviation:
-        """With what was in force, unless the position was lost then."""
-        return self.deviation if self.before is None else replace(self.deviation, before_rms=self.before)
-
 
 def errors_at(
     measured: SpeedSamples,
@@ -192,16 +186,15 @@ def errors_at(
         record = measured.samples.recording(adc_bits)
         speed = mean_speed(record, measured.hertz / measured.rate_hz)
         old, new = (_phases(measured.samples, used, speed) for used in (before, after))
-        deviation = best_of_phases(record, new, new, block_samples)
+        both = np.isfinite(old) & np.isfinite(new)
+        known = both.mean() > 0.5
+        phase, was = (np.where(both, new, math.nan), old) if known else (new, new)
+        deviation = best_of_phases(record, phase, was, block_samples)
         hertz = speed * measured.rate_hz
         late = path.low_pass.delay_cycles(hertz)
         mean_after = after.added_cycles(hertz) - late
-        rms_before = mean_before = None
-        both = np.isfinite(old) & np.isfinite(new)
-        if both.mean() > 0.5:
-            with contextlib.suppress(CalibrationError):
-                rms_before = best_of_phases(record, old, old, block_samples).rms
-                mean_before = before.added_cycles(hertz) - late + _mean(old[both] - new[both])
+        mean_before = before.added_cycles(hertz) - late + _mean(old[both] - new[both]) if known else None
+        rms_before = deviation.before_rms if known else None
         return ErrorAtSpeed(hertz, rms_before, deviation.rms, mean_before, mean_after, deviation)
 
 
@@ -365,7 +358,7 @@ def measure_speeds(
             )
     over = OverSpeeds(found.path, before, after, errors)
     lowest = min(samples, key=lambda one: abs(one.hertz))
-    on_samples = over.near(0.0).compared
+    on_samples = over.near(0.0).deviation
     return Measurement(lowest.samples, found.calibration, before.correction, on_samples, over)
 
 
@@ -400,7 +393,7 @@ def check_at_speed(
     progress(0.8)
     now = InForce(found.correction, active.corners)
     errors = errors_at(measured, active, now, NO_PATH, found.block_samples, settings.adc_bits)
-    return Measurement(measured.samples, found, used, errors.compared)
+    return Measurement(measured.samples, found, used, errors.deviation)
 
 
 def conditioning_change(fresh: Calibration, active: Conditioning) -> dict[str, float] | None:

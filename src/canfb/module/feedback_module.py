@@ -187,7 +187,7 @@ class FeedbackModule(NodeDevice):
 
     @property
     def interval_s(self) -> float:
-        """From sample to sample: 1006h, else the estimate; 0.0: not known."""
+        """From sample to sample, as measured, 1006h until it is; 0.0: not known."""
         return self._interval.sample_s
 
     @property
@@ -202,10 +202,10 @@ class FeedbackModule(NodeDevice):
     def speed_limit(self) -> str:
         """One line: how fast the machine may turn for a jitter of SYNC, by 4 v jitter < residual limit.
 
-        Empty with sample times or a source.
+        Empty with sample times, several samples for each SYNC, or a source.
         """
         config = self.config
-        return "" if config.times or config.source is not None else self._jitter.in_words()
+        return "" if config.times or config.source or config.samples_per_sync > 1 else self._jitter.in_words()
 
     def end(self, now: float) -> None:
         """The program ends: the operating time is stored."""

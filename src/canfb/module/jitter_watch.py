@@ -46,18 +46,18 @@ class JitterWatch:
 
     @property
     def max_speed_rad_s(self) -> float:
-        """The largest speed for this jitter, rad/s; inf without jitter."""
-        left = self._limits.in_force.residual_limit - (self._limits.in_force.acceleration or 0.0)
-        if self.jitter_s <= 0.0:
-            return math.inf
-        return self._max_speed(self.jitter_s, left) if left > 0.0 else 0.0
+        """The largest speed for this jitter, rad/s; inf without, or with several samples a SYNC."""
+        limits = self.jitter_s > 0.0 and self._interval.samples_per_sync == 1
+        return self._max_speed(self.jitter_s) if limits else math.inf
 
-    def _max_speed(self, jitter_s: float, left: float) -> float:
-        return max_speed(self._cycles_per_revolution.value, jitter_s, left)
+    def _max_speed(self, jitter_s: float) -> float:
+        limits = self._limits.in_force
+        most = 4.0 * limits.phase_error if limits.acceleration_waits else 0.5  # left at any interval
+        left = min(most, limits.residual_limit - (limits.acceleration or 0.0))
+        return max_speed(self._cycles_per_revolution.value, jitter_s, left) if left > 0.0 else 0.0
 
     def in_words(self) -> str:
-        left = self._limits.in_force.residual_limit
-        speeds = (f"{self._max_speed(us * 1e-6, left) * RPM:.3g} rpm at ±{us} µs" for us in EXAMPLES_US)
+        speeds = (f"{self._max_speed(us * 1e-6) * RPM:.3g} rpm at ±{us} µs" for us in EXAMPLES_US)
         return f"without sample times the jitter of SYNC limits the speed: {', '.join(speeds)}"
 
     def look(self, last: Feedback, now: float) -> None:

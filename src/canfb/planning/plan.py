@@ -49,6 +49,7 @@ PEAK = 6.0  # standard deviations of the noise: one healthy sample in 5e8 is fur
 ROUNDING_VARIANCE = 1.0 / 12.0  # counts^2
 WEIGHTS, SQUARES = 4.0, 6.0  # sums of the sizes and of the squares of 1, 2, 1 (eq. 9)
 HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
+HALF_A_UNIT = 0.5 / 65536  # cycle: 2010:0C is rounded
 SUM_ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # of sums: a limit that is narrowed to the motion holds
 
 
@@ -58,11 +59,13 @@ class CountDetection:
 
     limit_cycles       the residual limit, L: a jump of the phase below it may pass
     motion_cycles      what the motion uses of it: the largest acceleration, cycles per interval squared
+    error_cycles       largest error of a phase, without noise
     declared           what is declared of machine and encoder: the motions that are followed after a gap
     """
 
     limit_cycles: float
     motion_cycles: float
+    error_cycles: float
     declared: Declared
 
     @property
@@ -79,7 +82,10 @@ class CountDetection:
 
     @property
     def is_declared(self) -> bool:
-        return self.motion_cycles <= self.declared.followed + ROUNDING
+        return (
+            self.motion_cycles <= self.declared.followed + ROUNDING
+            and self.error_cycles <= self.declared.phase_error + HALF_A_UNIT
+        )
 
     @property
     def half_cycle(self) -> bool:
@@ -226,9 +232,11 @@ class ResidualBudget:
     def detection(self, limit_cycles: float | None = None) -> CountDetection:
         """With the limit in force, or another one."""
         limit = self.limit_cycles if limit_cycles is None else limit_cycles
-        other = replace(self.declared, residual_limit=limit)
         return CountDetection(
-            limit, self.motion_cycles, self.declared if limit == self.limit_cycles else other
+            limit,
+            self.motion_cycles,
+            self.phase_error_cycles,
+            self.declared if limit == self.limit_cycles else replace(self.declared, residual_limit=limit),
         )
 
     @property

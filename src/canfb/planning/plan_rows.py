@@ -342,7 +342,7 @@ def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
         *those(
             (
                 not found.is_declared,
-                "  the motion is larger: after a gap a position can be valid and wrong; set 2010:02",
+                "  exceeded: after a gap a position can be valid and wrong; set 2010:02, 2010:0C",
             ),
             *((moves and other != kept, f"  {other} with {words}") for words, other in others.items()),
         ),

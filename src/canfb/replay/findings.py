@@ -204,21 +204,12 @@ class Margins:
     amplitude_low, amplitude_high   counts, after conditioning
     acceleration_cycles cycles per interval squared, against the residual limit: what eq. 9 leaves of an
                         acceleration is the residual (eq. 10)
-    machine_acceleration_cycles   the same against 2010:02, if that is set
     speed_rad_s         the largest; its limit is what the SYNC jitter allows, inf with sample times
     """
 
     def __init__(self, max_speed_rad_s: Callable[[], float]) -> None:
         self.nearest = dict.fromkeys(
-            (
-                "residual",
-                "amplitude_low",
-                "amplitude_high",
-                "acceleration_cycles",
-                "machine_acceleration_cycles",
-                "speed_rad_s",
-            ),
-            Extreme(),
+            ("residual", "amplitude_low", "amplitude_high", "acceleration_cycles", "speed_rad_s"), Extreme()
         )
         self.acceleration_rad_s2 = 0.0  # The largest.
         self.begin_cycles = NAN  # Distance of the first samples, without whole cycles between two of them.
@@ -243,8 +234,6 @@ class Margins:
     def _take_motion(self, block: Block, valid: BoolArray) -> None:
         acceleration = _where(valid, np.abs(block["acceleration_cycles"]))
         self._look("acceleration_cycles", block, acceleration, block["residual_limit"])
-        known = block["acceleration_limit_cycles"]
-        self._look("machine_acceleration_cycles", block, acceleration, _where(known > 0.0, known))
         rad, interval_s = _units(block)
         speed = _where(valid, np.abs(block["speed_cycles"])) * rad / interval_s
         self._look("speed_rad_s", block, speed, np.full(len(speed), self._max_speed_rad_s()))

@@ -20,7 +20,6 @@ MARGINS = {
     "amplitude_low": ("lowest amplitude", "counts", 1.0, ".0f"),
     "amplitude_high": ("highest amplitude", "counts", 1.0, ".0f"),
     "acceleration_cycles": ("acceleration", PER_INTERVAL, 1.0, ".4f"),
-    "machine_acceleration_cycles": ("acceleration (2010:02)", PER_INTERVAL, 1.0, ".4f"),
     "speed_rad_s": ("speed", "rpm", RPM, ".1f"),
 }
 COUNTED = {

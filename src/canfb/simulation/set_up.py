@@ -121,6 +121,12 @@ class MotionDemand:
                 f"{self.acceleration_rad_s2:.3g} rad/s^2, it follows {self.allowed_rad_s2:.3g} "
                 f"{self._at_rate}: set --rate to {rounded_up(self.least_rate_hz)} or more{advice}"
             )
+        declared = getattr(self.module, "max_acceleration_rad_s2", 0.0)
+        if self.errors_cycles and 0.0 < declared < self.acceleration_rad_s2:
+            return (
+                f"{self.what}: the module may lose the position: acceleration {self.acceleration_rad_s2:.3g} "
+                f"rad/s^2, max_acceleration_rad_s2 (2010:02) is {declared:g}"
+            )
         if self.start_cycles >= HALF_CYCLE:
             return (
                 f"{self.what}: it turns by {self.start_cycles:.3g} cycles per sample from the first sample "
