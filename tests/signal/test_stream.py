@@ -297,7 +297,7 @@ def test_process_gives_the_bits_of_the_scalar_path(
         )
 
 
-@pytest.mark.parametrize("speed", [math.nan, math.inf, 1e10, "83", None, 1j, True])
+@pytest.mark.parametrize("speed", [math.nan, math.inf, 1e10, "83", "", None, 1j, 0j, True, False])
 def test_a_speed_that_is_none_is_refused(speed: object) -> None:
     for run in (
         lambda: process([1.0], [1.0], speed_cycles="83" if speed is None else speed),  # type: ignore[arg-type]

@@ -100,7 +100,7 @@ def process_stream(
     one of these.
     """
     config, alone = with_correction(ChainConfig() if config is None else config, table)
-    stream = Stream(config, alone, speed_cycles or 0.0)
+    stream = Stream(config, alone, 0.0 if speed_cycles is None else speed_cycles)
     results = (stream.take(*stream.tracks(block)) for block in blocks)
     return from_standstill(results, config) if speed_cycles is None else results
 
@@ -356,7 +356,7 @@ def process(
     if unknown:
         raise TypeError(f"process() has no option {min(unknown)!r}; it takes {', '.join(DECLARED)}")
     config = ChainConfig(residual_limit=residual_limit, conditioning=used.conditioning, **declared)
-    stream = Stream(config, used.table, speed_cycles or 0.0, supervised=False)
+    stream = Stream(config, used.table, 0.0 if speed_cycles is None else speed_cycles, supervised=False)
     results = iter([stream.take(sines, cosines)])
     (result,) = from_standstill(results, config) if speed_cycles is None else results
     return TrackResult(result.cycles, result.phase, result.residual, result.valid)
