@@ -476,12 +476,19 @@ DISTURBED = (
 
 
 @given(
-    st.integers(0), st.booleans(), st.booleans(), st.sampled_from([0, 20, 240]), st.sampled_from(DISTURBED)
+    st.integers(0),
+    st.booleans(),
+    st.sampled_from([1, 255]),
+    st.booleans(),
+    st.sampled_from([0, 20, 240]),
+    st.sampled_from(DISTURBED),
 )
 def test_at_rest_only_silence_loses_the_position(
-    seed: int, stamped: bool, times: bool, overflow: int, disturbed: str
+    seed: int, stamped: bool, kind: int, times: bool, overflow: int, disturbed: str
 ) -> None:
-    machine = Machine(stamped and disturbed != "host late", lambda _at: 0.3, times=times, overflow=overflow)
+    """Not with an extra SYNC where RPDO1 is synchronous: its sample is taken at that."""
+    entries: dict[tuple[int, int], float] = {} if disturbed == "SYNC extra" else {(0x1400, 2): kind}
+    machine = Machine(stamped and disturbed != "host late", lambda _at: 0.3, entries, times, overflow)
     draw = random.Random(seed)
     host = 0.0  # until when no frame is read, though deadlines are served
     for k in range(1, 150):
