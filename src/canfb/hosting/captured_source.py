@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from canfb.errors import reason, saying
+from canfb.errors import reason
 from canfb.hosting.realtime import RealtimeThread
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import Capture, EvenScans, NewestScan, SourceError
@@ -63,8 +63,10 @@ class CapturedSource:
                 if self._late:
                     self._late -= 1
                     return None
-                with saying(SourceError, "the trigger cannot be fired", OSError):
+                try:
                     capture.fire()
+                except OSError as error:
+                    raise SourceError(f"the trigger cannot be fired: {reason(error)}") from error
                 self._late = LATE_SYNCS  # until it comes
                 self._changed.wait_for(lambda: not self._late or self._trouble, self._wait_s)
             sample = self._picked.take()

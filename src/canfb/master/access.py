@@ -380,7 +380,8 @@ def watch_standstill(module: NodeAccess) -> MachineLook:
             "whether the machine stands still: SYNC, encoder interface and module must run (canfb node "
             "start). --force resets it nevertheless"
         )
-    off = [apart(phase, next(iter(seen.values()))) for phase in seen.values()]
+    first, *_ = seen.values()
+    off = [apart(phase, first) for phase in seen.values()]
     # A cycle more or less is a phase near 0, which goes to and fro with its noise.
     moved = counts[-1] - counts[0] if counts else 0
     return MachineLook(max(off) - min(off), len(seen), moved if abs(moved) > 1 else 0)

@@ -203,8 +203,8 @@ class Pairing(ProcessData):
             if parts.is_ambiguous and not parts.timed:
                 self.count_bad_frame()
                 self._stale = True
-            rests = self._chain.begun and not (self._chain.lost or self._chain.slips(1.0))
-            self._stale |= unsure and not rests  # at rest it makes no difference
+            chain = self._chain  # at rest it makes no difference
+            self._stale |= unsure and (not chain.begun or chain.lost or chain.slips(1.0))
         if unsure:
             self._publishing.withhold()
         if lost := verdict.lost:

@@ -291,7 +291,7 @@ def _template(content: bytes, node_id: int) -> tuple[Entry, ...]:
 def _entry(described: Description, node_id: int) -> Entry:
     default = described.value_of("DefaultValue", described.default, node_id)
     low, high = described.limits(node_id)
-    with saying(ValueError, f"[{described.section}]", ValueError, SdoAbort):
+    try:
         entry = Entry(
             described.index,
             described.subindex,
@@ -307,4 +307,6 @@ def _entry(described: Description, node_id: int) -> Entry:
         entry.encode()
         if entry.default is not None:
             entry.check_limits(entry.default)
+    except (ValueError, SdoAbort) as error:
+        raise ValueError(f"[{described.section}]: {error}") from error
     return entry

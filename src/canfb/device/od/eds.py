@@ -78,8 +78,10 @@ class Description:
         return self.value_of("LowLimit", self.low, node_id), self.value_of("HighLimit", self.high, node_id)
 
     def value_of(self, key: str, text: str, node_id: int) -> Any:
-        with saying(ValueError, f"[{self.section}] {key}", ValueError):
+        try:  # a thousand times at each start: no context manager
             return number(text, self.data_type, node_id)
+        except ValueError as error:
+            raise ValueError(f"[{self.section}] {key}: {error}") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,8 +312,10 @@ def _real(text: str, data_type: int) -> float:
 
 def _option_number(contents: Contents, section: str, option: str) -> int | None:
     text = contents.get(section, {}).get(option, "").strip()
-    with saying(ValueError, f"[{section}] {option}", ValueError):
+    try:
         return whole(text) if text else None
+    except ValueError as error:
+        raise ValueError(f"[{section}] {option}: {error}") from None
 
 
 def _kind(contents: Contents, section: str) -> ObjectKind:
