@@ -73,7 +73,6 @@ class Pairing(ProcessData):
     def begin(self) -> None:
         self.sampled = False  # A sample came since OPERATIONAL.
         self._sample_came = 0  # since the last SYNC; with their times, how many
-        self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
         self._synced = False  # a SYNC came since OPERATIONAL
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
         # So far off the grid was the last sample taken, intervals; and its tracks came then.
@@ -81,7 +80,7 @@ class Pairing(ProcessData):
         self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
         self._moves = False  # and it moved since, by a speed that a wrong interval does not hide
         self._begun_s = 0.0  # when the first part of the sample came
-        self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
+        self._elapsed = 0.0  # intervals up to the tracks that have come, before the other parts; 0.0: none
         # The RPDO that may bring a usual sample of the last SYNC; CAME: it has, and nothing since.
         self.usual = NO_RPDO
         self.syncs.pause()
@@ -156,7 +155,7 @@ class Pairing(ProcessData):
         self._off = verdict.off  # a sample that waited for this SYNC is of the one before
         if self._second.number is not None:
             self._second.interval_over(not (verdict.lost or late or after_extra))
-        nothing_came = not (self._sample_came or self._tracks_came)
+        nothing_came = not (self._sample_came or self._elapsed)
         if parts.is_synchronous and nothing_came and self.sampled and self._synced and source is None:
             self._miss_to(place, now)
         if not (parts.arrived and self.answers.waits):
@@ -164,13 +163,10 @@ class Pairing(ProcessData):
         self._sample_came, self._stale = 0, False
         self._synced = True
         in_turn = not self._prediction.follows if parts.timed else due == self._accounted == self._answered
+        is_open = late or self.unconfirmed or syncs.rate_is_open(self._chain.times.unit_s)
         if source is not None:
             self._sample_source(source, now)
-        elif (
-            in_turn
-            and self.sampled
-            and not (self.answers.waits or self.unconfirmed or late or verdict.off or syncs.grid.early)
-        ):
+        elif in_turn and self.sampled and not (is_open or self.answers.waits):
             self.usual = parts.usual
 
     def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[HeldRpdo]) -> int:
@@ -253,7 +249,7 @@ class Pairing(ProcessData):
             return False
         if self._ambiguous and not self.timed:
             self._lose_count(1.0, now)  # which of them the last sample answers stays open
-        if self._tracks_came:
+        if self._elapsed:
             self._end_parts(now)
         self._accounted += self._heard_of(syncs.place - self._accounted)
         self._miss_to(syncs.place, now)
@@ -315,7 +311,7 @@ class Pairing(ProcessData):
             if elapsed is None:
                 parts.is_mixed |= parts.arrived != 0  # its tracks stand in 2000h, in place of others
                 return
-            self._tracks_came, self._elapsed = True, elapsed
+            self._elapsed = elapsed
         if number == parts.alone or parts.take(number):
             self._complete(parts.sample(), now)
 
@@ -323,14 +319,15 @@ class Pairing(ProcessData):
         """No more of them come: tracks without the rest of their sample are a missed one."""
         if self._input.arrived and self._input.give_up():
             self.count_bad_frame()
-        if self._tracks_came and self.sampled and self._synced:
+        if self._elapsed and self.sampled and self._synced:
             self._miss(int(self._elapsed), now)
-        self._tracks_came = False
+        self._elapsed = 0.0
 
     def _judged(self, now: float) -> float | None:
         call, syncs, answers, chain = self._call, self.syncs, self.answers, self._chain
         place, parts = syncs.place, self._input
-        next_may_have_come = call.received >= syncs.grid.due - syncs.grid.allowed and chain.slips(1.0)
+        rests = not (chain.lost or chain.slips(1.0))  # which SYNC it answers is the same
+        next_may_have_come = not rests and call.received >= syncs.grid.due - syncs.grid.allowed
         if not self._synced:
             if answers.waits:  # it answers a SYNC before the start
                 return None
@@ -351,8 +348,8 @@ class Pairing(ProcessData):
             elif later is None and next_may_have_come:
                 self._publishing.withhold()  # it may answer a SYNC that was not received
             free = later is not None and place + later > self._accounted
-            if not (free or answers.waits or chain.lost or chain.slips(1.0)):
-                later = 0  # at standstill it is the same
+            if rests and not (free or answers.waits):
+                later = 0
             if later is None and place > self._accounted:
                 self.count_bad_frame()
                 return None
@@ -366,7 +363,7 @@ class Pairing(ProcessData):
             if place - self._answered > 1 and call.received < soonest_s:  # that of the SYNC before, late
                 self._lose_count(1.0, now)
         self._came_s = call.received
-        if place > self._accounted or not self.sampled:
+        if place > (self._answered if rests else self._accounted) or not self.sampled:
             return self._answer(place)
         self.count_bad_frame()
         if place <= self._answered:  # more samples than SYNCs
@@ -379,7 +376,7 @@ class Pairing(ProcessData):
         return None
 
     def _answer(self, place: int) -> float:
-        elapsed = place - self._accounted if self.sampled else 1
+        elapsed = max(1, place - self._accounted) if self.sampled else 1
         self._accounted = self._answered = place
         return float(elapsed)
 
@@ -401,9 +398,8 @@ class Pairing(ProcessData):
         if sample.time_100ns is not None:
             self._timed(sample, now)
             return
-        self._sample_came, self._tracks_came = 1, False
-        judged = self._input.judged is not None and self._source is None
-        self._take(sample, self._elapsed if judged else self._answer(self.syncs.place), now)
+        elapsed, self._elapsed, self._sample_came = self._elapsed, 0.0, 1
+        self._take(sample, elapsed or self._answer(self.syncs.place), now)
 
     def _timed(self, sample: Sample, now: float) -> None:
         """By its time a sample is the next one, for any time of reception; an earlier one again is not used,
@@ -424,14 +420,15 @@ class Pairing(ProcessData):
         self._limits.unit_changed()
         if self._interval.samples_per_sync > 1:
             self._grid.follow(syncs.grid.seen)
-        last = self._publishing.last
+        last, times = self._publishing.last, self._chain.times
+        times.count_is_open = syncs.rate_is_open(times.unit_s)
         feedback = self._chain.step(sample, received_s, synced_s, place > self._accounted)
         is_new = last is None or feedback.samples != last.samples
         if is_new:
-            is_open = self._chain.between and (syncs.grid.row if syncs.stamped else syncs.grid.early)
-            withheld = self.unconfirmed or (is_open and self._chain.slips(1.0))  # SYNC at another rate?
+            is_open = (self._chain.between and times.count_is_open) or syncs.grid.early
+            withheld = self.unconfirmed or (is_open and self._chain.slips(1.0))
             self._out(sample, self._withheld(feedback) if withheld else feedback, now)
-        elif self._chain.times.passed > 0.0 and self._chain.slips(1.0):
+        elif times.passed > 0.0 and self._chain.slips(1.0):
             self._publishing.withhold()  # the position is that of the sample before, if its time is right
         if is_new or self._chain.crowded:
             self._sample_came += 1

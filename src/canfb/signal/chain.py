@@ -16,7 +16,7 @@ from canfb.signal.correction import AnyTable, Correction
 from canfb.signal.front_end import SAME_INTERVAL
 from canfb.signal.pauses import Pauses
 from canfb.signal.sample import Feedback, Sample, in_order
-from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
+from canfb.signal.sample_times import CROWDED, REPEATED, RESTARTED, SUSPECT, SampleTimes
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Extras, Stages
 from canfb.signal.supervision import COASTING, LOST, MISSED, VALID
@@ -269,20 +269,19 @@ class SignalChain:
         self._unit_may_have_changed(unit_s)
         self.crowded = passed == CROWDED
         if passed <= 0.0:
-            self._left_out += elapsed * (self.crowded and counts)
-            if passed in (REPEATED, CROWDED) and stages.last is not None:
-                return stages.last
-            if passed != SUSPECT:
-                return self._restarted(sample)
-            times.waited += elapsed
             # One of a machine that creeps would be right, and its speed by the count wrong by far.
-            placed = (
+            rests = (
                 self.begun
                 and stages.is_near(sample.sine, sample.cosine)
                 and not (self.lost or self.slips(times.off) or self._pauses.creeps)
             )
-            self._unused += elapsed * (not placed)
-            return self.after(sample, elapsed, placed=placed)
+            self._left_out += elapsed * (self.crowded and counts)
+            late = rests and passed == REPEATED and times.passed > 0.0  # at rest it is used
+            if passed != SUSPECT and not late:
+                return self._restarted(sample) if passed == RESTARTED or stages.last is None else stages.last
+            times.waited += elapsed
+            self._unused += elapsed * (not rests)
+            return self.after(sample, elapsed, placed=rests)
         if passed <= times.waited:  # what was waited for did not pass
             return self._restarted(sample, least=float("inf"))
         next_one = elapsed + times.waited < HOLE_INTERVALS

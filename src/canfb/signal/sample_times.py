@@ -50,6 +50,7 @@ class SampleTimes:
         "_received_s",
         "_refused_counted",
         "_synced_s",
+        "count_is_open",
         "grid",
         "off",
         "passed",
@@ -60,6 +61,7 @@ class SampleTimes:
     def __init__(self) -> None:
         self.sync_interval_s = 0.0
         self.grid = Grid()  # The times that were right, ticks since the first one.
+        self.count_is_open = False  # SYNC at another rate? With receive times its count says nothing.
         # Intervals since the last sample, by the last time; and from a SUSPECT one to its place.
         self.passed, self.off = 1.0, 0.0
         self.reset()
@@ -181,7 +183,7 @@ class SampleTimes:
                     abs(one - passed_s) <= unsure_s for one in (apart_s, heard_apart_s) if one is not None
                 ]
                 # After a time that was not right, or not at its count, the count alone is none either.
-                counts = self._at_count and not self._refused_counted
+                counts = self._at_count and not (self._refused_counted or self.count_is_open)
                 right = all(heard) or (right and (any(heard) or counts))
             right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
