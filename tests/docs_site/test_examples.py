@@ -55,15 +55,8 @@ def test_a_configuration_loads(page: str, text: str) -> None:
     parse_config(text, needs=ANY_NODES)
 
 
-DOCS = Path(__file__).parents[2] / "docs"
-
-
-def guide_text(name: str) -> str:
-    return (DOCS / f"{name}.md").read_text(encoding="utf-8")
-
-
 def test_the_accelerations_are_those_of_the_formula() -> None:
-    rows = re.findall(r"^(\d+) Hz: ([\d.]+) rad/s\^2$", guide_text("plan"), re.MULTILINE)
+    rows = re.findall(r"^(\d+) Hz: ([\d.]+) rad/s\^2$", page("plan"), re.MULTILINE)
     assert len(rows) == 4
     for rate, limit in rows:
         assert float(limit) == round(max_acceleration(2500, float(rate), 1 / 3), 1)
@@ -71,9 +64,7 @@ def test_the_accelerations_are_those_of_the_formula() -> None:
 
 def test_the_bus_loads_are_those_of_the_longest_frames() -> None:
     bits = frame_bits(0) + 2 * frame_bits(8)
-    rows = re.findall(
-        r"^\| (\d+) ([kM])bit/s \| ([\d.]+) ms \| (\d+) Hz \|$", guide_text("plan"), re.MULTILINE
-    )
+    rows = re.findall(r"^\| (\d+) ([kM])bit/s \| ([\d.]+) ms \| (\d+) Hz \|$", page("plan"), re.MULTILINE)
     assert (bits, len(rows)) == (325, 4)
     for number, prefix, time_ms, rate_hz in rows:
         bit_rate = int(number) * {"k": 1000, "M": 1_000_000}[prefix]
