@@ -1,14 +1,22 @@
-"""Commands of canfb in this process, and what they say."""
+"""Commands of canfb in this process, the files that they are given, and what they say."""
 
 from __future__ import annotations
 
 import json
 import shlex
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
 from canfb.cli.main import main
+
+
+def yaml_file(folder: Path, text: str, name: str = "feedback.yaml") -> Path:
+    """A new file with this text."""
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
 
 
 class Said(NamedTuple):

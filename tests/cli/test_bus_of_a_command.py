@@ -17,7 +17,7 @@ from canfb.cli.options import BUS_HELP
 from canfb.eds_files import eds_path
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from commands import Command
+from commands import Command, yaml_file
 from documentation import blocks, page
 
 PAGE = page("wiring")
@@ -34,9 +34,8 @@ def nothing_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.fixture
 def config(tmp_path: Path) -> str:
-    path = tmp_path / "feedback.yaml"
-    path.write_text(f"bus: {{interface: virtual, channel: {CHANNEL}}}\nmodules: [{{node_id: 32}}]\n")
-    return str(path)
+    text = f"bus: {{interface: virtual, channel: {CHANNEL}}}\nmodules: [{{node_id: 32}}]\n"
+    return str(yaml_file(tmp_path, text))
 
 
 Sent = Callable[..., list[tuple[int, bytes]]]
@@ -120,8 +119,8 @@ def test_the_default_bus_is_remembered_and_said(
     assert said.lines == [f"default bus: virtual {CHANNEL} ({tmp_path}/user/canfb/bus.json)"]
     assert sent("node start all") == ALL
     assert command.said.err == f"canfb: bus: virtual {CHANNEL} (canfb use)\n"
-    other = tmp_path / "other.yaml"
-    other.write_text("bus: {interface: virtual, channel: other}\nmodules: [{node_id: 32}]\n")
+    text = "bus: {interface: virtual, channel: other}\nmodules: [{node_id: 32}]\n"
+    other = yaml_file(tmp_path, text, "other.yaml")
     assert sent("node start all --config", other) == [], "the configuration takes precedence"
     assert sent("node start all -c other") == [], "and so do options"
     monkeypatch.setenv("CAN_CHANNEL", "other")

@@ -32,7 +32,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
-from commands import Command
+from commands import Command, yaml_file
 from commissioning_kit import TABLE
 from documentation import blocks, commands, page
 from tools.soak.embedded_master import EmbeddedMaster
@@ -67,9 +67,7 @@ class Peer(EmbeddedNetwork):
 def yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A configuration in the current folder."""
     monkeypatch.chdir(tmp_path)
-    path = tmp_path / "feedback.yaml"
-    path.write_text("bus: {channel: can3, bitrate: 250000}\n" + ONE)
-    return path
+    return yaml_file(tmp_path, "bus: {channel: can3, bitrate: 250000}\n" + ONE)
 
 
 def test_a_dcf_that_makes_a_module_as_delivered_the_one_of_the_configuration(
@@ -234,8 +232,7 @@ def example(command: Command) -> str:
 
 
 def test_the_example_is_itself_valid(example: str, tmp_path: Path, command: Command) -> None:
-    path = tmp_path / "example.yaml"
-    path.write_text(example)
+    path = yaml_file(tmp_path, example)
     assert command("config check", path) == (f"{path}: valid; modules: 20h\n", "")
     config = canfb.load_config(path)
     assert config.bus["interface"] == "socketcan"
@@ -254,7 +251,6 @@ def test_the_example_is_itself_valid(example: str, tmp_path: Path, command: Comm
 
 def test_what_the_example_has_in_comments_is_valid_too(example: str, tmp_path: Path) -> None:
     """The keys that are shown but left out: without their marks they must load."""
-    path = tmp_path / "example.yaml"
     lines = []
     for line in example.splitlines():
         stripped = line.lstrip()
@@ -264,8 +260,7 @@ def test_what_the_example_has_in_comments_is_valid_too(example: str, tmp_path: P
         words = stripped.removeprefix("# ").partition(" # ")[0].partition("   # offset")[0]
         indent = " " * (len(line) - len(stripped))
         lines.append(f"{indent}{words}" if shown else line)
-    path.write_text("\n".join(lines))
-    config = canfb.load_config(path)
+    config = canfb.load_config(yaml_file(tmp_path, "\n".join(lines)))
     assert config.realtime.priority == 80
     module = config.modules[0]
     assert module.conditioning == canfb.Conditioning()
@@ -283,8 +278,7 @@ def checked(tmp_path: Path, command: Command) -> Callable[..., str]:
     """What is said of a configuration, behind the name of its file."""
 
     def check(text: str, code: int = 2) -> str:
-        path = tmp_path / "feedback.yaml"
-        path.write_text(text)
+        path = yaml_file(tmp_path, text)
         (line,) = "".join(command("config check", path, code=code)).splitlines()
         return line.removeprefix("canfb: ").removeprefix(str(path))
 

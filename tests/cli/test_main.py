@@ -22,7 +22,7 @@ from canfb.cli import run as run_command
 from canfb.cli.printing import PRINTING, printed_log, printed_without_waiting
 from canfb.errors import BusError
 from canfb.hosting import serving
-from commands import Command
+from commands import Command, yaml_file
 from processes import Process, python
 
 GOOD = "bus: {interface: virtual, channel: canfb-cli}\nmodules: [{node_id: 32}]\n"
@@ -30,9 +30,7 @@ GOOD = "bus: {interface: virtual, channel: canfb-cli}\nmodules: [{node_id: 32}]\
 
 @pytest.fixture
 def config(tmp_path: Path) -> str:
-    path = tmp_path / "feedback.yaml"
-    path.write_text(GOOD)
-    return str(path)
+    return str(yaml_file(tmp_path, GOOD))
 
 
 def one_line(text: str) -> str:

@@ -20,7 +20,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.monitoring.watching import Watching
 from canfb.scope.page_server import LivePage
-from commands import Command
+from commands import Command, yaml_file
 from fake_bus import message
 from folding import each
 from monitored_network import MonitoredNetwork
@@ -111,10 +111,8 @@ def test_it_only_listens(command: Command) -> None:
 def test_the_configuration_names_modules_and_their_interfaces(
     log: Path, tmp_path: Path, command: Command
 ) -> None:
-    path = tmp_path / "two.yaml"
-    path.write_text(
-        "modules: [{node_id: 32, cycles_per_revolution: 5000}, {node_id: 33, encoder_interface: 17}]\n"
-    )
+    text = "modules: [{node_id: 32, cycles_per_revolution: 5000}, {node_id: 33, encoder_interface: 17}]\n"
+    path = yaml_file(tmp_path, text)
     last = command(f"monitor --config {path} --json --log", log).objects[-1]
     modules = {node["node_id"]: node["module"] for node in last["nodes"] if node["module"]}
     assert {one["layout"] for one in modules.values()} == {"configuration"}
@@ -211,8 +209,7 @@ def test_modules_that_nobody_names_are_known_by_what_they_send(tmp_path: Path, c
 
 
 def test_a_configuration_names_modules_and_bus(tmp_path: Path, command: Command) -> None:
-    path = tmp_path / "feedback.yaml"
-    path.write_text("bus: {interface: virtual, channel: dump}\nmodules: [{node_id: 32}]\n", encoding="utf-8")
+    path = yaml_file(tmp_path, "bus: {interface: virtual, channel: dump}\nmodules: [{node_id: 32}]\n")
     with can.Bus(interface="virtual", channel="dump") as other:
         other.send_periodic(message(0x190, bytes(4)), 0.005)
         out = command("monitor --seconds 0.3 --listen --frames", path).out

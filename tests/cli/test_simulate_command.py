@@ -21,7 +21,7 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import MotionSource
 from canfb.simulation.set_up import Play, SimulatedNetwork, set_up, simulated_axis, source_of
 from canfb.sources.recording_source import RecordingSource
-from commands import Command
+from commands import Command, yaml_file
 from documentation import blocks, page
 
 CHANNEL = "canfb-simulate"
@@ -34,9 +34,7 @@ simulation: {{motion: {{standstill_s: 0, ramp_s: 0, rpm: 6}}, encoder: {{noise_l
 
 @pytest.fixture
 def config(tmp_path: Path) -> str:
-    path = tmp_path / "feedback.yaml"
-    path.write_text(CONFIG)
-    return str(path)
+    return str(yaml_file(tmp_path, CONFIG))
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from canfb.rows import age_words
 from canfb.simulation.embedded_bus import SyncProducer
 from canfb.simulation.encoder import Motion
 from canfb.view.module_view import limit_settings
-from commands import Command
+from commands import Command, yaml_file
 from commissioning_kit import CYCLES, INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder
 from documentation import blocks, page
 from folding import each
@@ -257,12 +257,8 @@ def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
 
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
-    path = tmp_path / "left.yaml"
-    path.write_text(
-        "bus: {channel: x, password: apple}\n"
-        f"modules: [{{node_id: {MODULE_ID}, encoder_interface: {INTERFACE_ID}}}]\n"
-    )
-    return path
+    modules = f"modules: [{{node_id: {MODULE_ID}, encoder_interface: {INTERFACE_ID}}}]\n"
+    return yaml_file(tmp_path, "bus: {channel: x, password: apple}\n" + modules, "left.yaml")
 
 
 def written(folder: Path) -> dict[str, Any]:
@@ -330,8 +326,7 @@ def test_without_nodes_all_that_answer_are_read_and_a_refused_object_has_the_rea
 def test_a_bus_that_is_down_and_a_wrong_configuration_are_in_the_file(
     tmp_path: Path, command: Command
 ) -> None:
-    path, wrong = tmp_path / "canfb-diagnose-1.json", tmp_path / "wrong.yaml"
-    wrong.write_text("modules: [{node_id: 300}]\n")
+    path, wrong = tmp_path / "canfb-diagnose-1.json", yaml_file(tmp_path, "modules: [{node_id: 300}]\n")
     command("why --bundle -i udp_multicast -c 127.0.0.1 --out", path, wrong, code=1)
     assert command.said.err.count(" is incomplete: ") == 1
     found = written(tmp_path)

@@ -16,7 +16,7 @@ from canfb.errors import BusError, ConfigError
 from canfb.hosting import serving
 from canfb.hosting.hosting import Hosting
 from canfb.hosting.readiness import Readiness
-from commands import Command
+from commands import Command, yaml_file
 from documentation import blocks, page
 
 
@@ -26,12 +26,11 @@ def config(tmp_path: Path) -> Path:
     state = tmp_path / "state"
     state.mkdir()
     (state / "manufacturer.bin").write_bytes(b"?")
-    path = tmp_path / "two.yaml"
-    path.write_text(
+    return yaml_file(
+        tmp_path,
         "bus: {interface: virtual, channel: hosting}\n"
-        f"modules: [{{node_id: 32, state_dir: {state}}}, {{node_id: 33, encoder_interface: 17}}]\n"
+        f"modules: [{{node_id: 32, state_dir: {state}}}, {{node_id: 33, encoder_interface: 17}}]\n",
     )
-    return path
 
 
 def test_the_log_has_the_lines_of_the_command(
@@ -138,9 +137,9 @@ def test_a_second_node_with_the_node_id_leaves_before_its_boot_up(
     monkeypatch.setattr(serving, "ANSWER_S", 60.0)  # the first has a thread of this process
     ready = tmp_path / "run.ready"
     ready.write_text(f"{os.getppid()}\n")
-    second = tmp_path / "second.yaml"
     module = "{node_id: 33}" if name == "run" else "{node_id: 40, encoder_interface: 33}"
-    second.write_text(f"bus: {{interface: virtual, channel: hosting}}\nmodules: [{module}]\n")
+    text = f"bus: {{interface: virtual, channel: hosting}}\nmodules: [{module}]\n"
+    second = yaml_file(tmp_path, text, "second.yaml")
     assert command(f"{name} --ready-file {ready}", second, code=1) == (
         "",
         "canfb: node 33 (21h): another node on virtual hosting has this node-ID (5A1h received); "

@@ -35,7 +35,7 @@ from canfb.replay.findings import COLUMNS
 from canfb.sdo.tables import as_yaml
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
-from commands import Command
+from commands import Command, yaml_file
 from commissioning_kit import TABLE
 from html_page import Page
 from replay_kit import NODE_ID, Planned, adc, config, contents, live, sdo_write, session, write_log
@@ -96,8 +96,7 @@ def test_a_page_with_pictures(log: Path, tmp_path: Path, command: Command) -> No
 
 
 def test_a_table_and_other_settings_are_tried(log: Path, tmp_path: Path, command: Command) -> None:
-    file = tmp_path / "table.yaml"
-    file.write_text(as_yaml(Correction(TABLE, IDENTITY), {}))
+    file = yaml_file(tmp_path, as_yaml(Correction(TABLE, IDENTITY), {}), "table.yaml")
     tried = command("log replay --json --set amplitude_high_counts=4000", log, "--table", file).json
     (module,) = tried["modules"]
     assert module["table_crc32"] == f"{TABLE.crc32:08X}"
@@ -128,8 +127,7 @@ def test_saved_parameters_are_read_and_stay(tmp_path: Path, command: Command) ->
 
 def test_several_modules_of_one_log(tmp_path: Path, command: Command) -> None:
     log = write_log(tmp_path / "bus.log", live(session())[0])
-    config = tmp_path / "two.yaml"
-    config.write_text("modules: [{node_id: 32}, {node_id: 33}]\n")
+    config = yaml_file(tmp_path, "modules: [{node_id: 32}, {node_id: 33}]\n")
     one, other = command("log replay --json", log, "--config", config).json["modules"]
     assert (one["node_id"], other["node_id"]) == (32, 33)
     assert one["samples"] == other["samples"] == SAMPLES

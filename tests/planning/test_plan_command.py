@@ -25,7 +25,7 @@ from canfb.planning.coverage import (
 from canfb.planning.plan_rows import coverage_rows
 from canfb.rows import as_figures
 from canfb.signal.supervision import SampleLimits
-from commands import Command
+from commands import Command, yaml_file
 from documentation import blocks, page
 
 DEFAULT = SampleWindow(
@@ -73,11 +73,11 @@ def test_the_window_of_a_plan() -> None:
 
 
 def test_a_second_position_that_is_mapped(tmp_path: Path, command: Command) -> None:
-    config = tmp_path / "second.yaml"
-    config.write_text(
+    config = yaml_file(
+        tmp_path,
         "bus: {interface: virtual, channel: test}\n"
         "modules:\n  - node_id: 0x20\n    cycles_per_revolution: 1000\n"
-        "    second_position: {cob_id: 0x381, increments: 4096, tolerance_revolutions: 0.05}\n"
+        "    second_position: {cob_id: 0x381, increments: 4096, tolerance_revolutions: 0.05}\n",
     )
     (module,) = command("plan --json", config).json["modules"]
     assert module["coverage"]["second_position_mapped"] is True
@@ -148,12 +148,6 @@ def test_the_length_of_a_frame() -> None:
 MODULES = "modules: [{node_id: 32, times: true}]\n"
 
 
-def written(folder: Path, text: str) -> str:
-    path = folder / "plan.yaml"
-    path.write_text(text)
-    return str(path)
-
-
 def test_the_exit_code_says_whether_it_holds(command: Command) -> None:
     said = command("plan --acceleration 120").out
     assert "  acceleration: 120 of 712.1 rad/s^2, margin 5.9\n" in said
@@ -184,7 +178,7 @@ def test_a_configuration_and_options_before_it(tmp_path: Path, command: Command)
         "simulation: {sync_period_us: 2000, sync_jitter_us: 5, sync_jitter_rms_us: 2, bus_load: 0.1,"
         " motion: {rpm: 30, ramp_s: 1.0}}\n"
     )
-    found = command("plan --json", written(tmp_path, text), code=1).json  # 135 µs for the frames of others
+    found = command("plan --json", yaml_file(tmp_path, text), code=1).json  # 135 µs for the frames of others
     bus = found["bus"]
     assert (bus["bit_rate"], bus["sync_hz"], bus["extra_load"]) == (500_000, 500.0, 0.1)
     (module,) = found["modules"]
@@ -195,22 +189,22 @@ def test_a_configuration_and_options_before_it(tmp_path: Path, command: Command)
         4 * 819 / 65536 + 40 * 2500 / 6.2832 / 500**2, abs=1e-5
     )
     line = "plan --rate 1000 -b 1000000 --acceleration 3 --rpm 5 --extra 0 --jitter 0 --cycles 1000 --json"
-    other = command(line, written(tmp_path, text)).json
+    other = command(line, yaml_file(tmp_path, text)).json
     assert other["bus"]["sync_hz"] == 1000.0
     assert other["modules"][0]["cycles_per_revolution"] == 1000
     assert other["modules"][0]["acceleration"]["stated_rad_s2"] == 3.0
-    poor = written(tmp_path, "modules: [{node_id: 32, phase_error_cycles: 0.05}]\n")
+    poor = yaml_file(tmp_path, "modules: [{node_id: 32, phase_error_cycles: 0.05}]\n")
     assert "first, for detection: set max_acc" in command("plan --acceleration 80", poor).out
     for error, exceeds in ((0.05, False), (0.055, True)):
         assert ("wrong; set 2010:02, 2010:0C" in command(f"plan --phase-error {error}", poor).out) is exceeds
 
 
 def test_a_drive_its_frames_and_its_torque(tmp_path: Path, command: Command) -> None:
-    path = written(tmp_path, MODULES + "simulation: {drive: {node_id: 0x30}}\n")
+    path = yaml_file(tmp_path, MODULES + "simulation: {drive: {node_id: 0x30}}\n")
     found = command("plan --json", path).json
     assert {0x1B0, 0x2B0, 0xB0} <= {message["cob_id"] for message in found["bus"]["messages"]}
     assert found["modules"][0]["acceleration"]["stated_rad_s2"] == pytest.approx(510.0)
-    path = written(tmp_path, MODULES + "simulation: {motion: {rpm: 60, ramp_s: 0.001}}\n")
+    path = yaml_file(tmp_path, MODULES + "simulation: {motion: {rpm: 60, ramp_s: 0.001}}\n")
     found = command("plan --rate 100 --json", path, code=1).json  # a step at 100 Hz: no less than its ramp
     assert found["modules"][0]["acceleration"]["stated_rad_s2"] == pytest.approx(6283.2, rel=1e-4)
 
@@ -225,20 +219,20 @@ def test_saved_parameters_go_before_the_configuration(tmp_path: Path, command: C
         module.start(0.0)
         module.dictionary.lookup(0x2010, 1).download((6554).to_bytes(2, "little"))
         module.dictionary.lookup(0x1010, 1).download(b"save")
-    path = written(tmp_path, f"modules: [{{node_id: 32, state_dir: {tmp_path / 'state'}}}]\n")
+    path = yaml_file(tmp_path, f"modules: [{{node_id: 32, state_dir: {tmp_path / 'state'}}}]\n")
     (found,) = command("plan --json", path).json["modules"]
     assert found["residual_limit_cycles"] == pytest.approx(0.1, abs=1e-4)
 
 
 def test_modules_without_a_node_id_and_those_that_sample_themselves(tmp_path: Path, command: Command) -> None:
     text = "modules: [{node_id: 255, source: {kind: motion}}, {node_id: 32, serial_number: 1}]\n"
-    found = command("plan --rpm 3000 --jitter 50us --json", written(tmp_path, text), code=1).json
+    found = command("plan --rpm 3000 --jitter 50us --json", yaml_file(tmp_path, text), code=1).json
     assert [module["node_id"] for module in found["modules"]] == [127, 32]
     assert found["modules"][0]["speed"]["largest_rpm"] is None, "the module samples at the exact instant"
 
 
 def test_no_amplitude_is_no_encoder(tmp_path: Path, command: Command) -> None:
-    path = written(tmp_path, MODULES + "simulation: {encoder: {amplitude: 0}}\n")
+    path = yaml_file(tmp_path, MODULES + "simulation: {encoder: {amplitude: 0}}\n")
     (found,) = command("plan --json", path, code=1).json["modules"]
     assert found["residual"]["needed_cycles"] is None
     command("plan", path, code=1)

@@ -33,7 +33,7 @@ from canfb.sources.iio_source import ChannelScaling, IioCapture, IioSourceConfig
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, source_kinds
 from canfb.sources.recording_source import RecordingSourceConfig
-from commands import Command
+from commands import Command, yaml_file
 from documentation import blocks, page
 from folding import each
 from processes import python
@@ -371,8 +371,7 @@ def test_a_new_kind_is_one_file_that_the_registry_finds_and_a_module_runs_on() -
 
 @pytest.mark.usefixtures("one_more_file")
 def test_its_values_are_asked_by_the_check(tmp_path: Path, command: Command) -> None:
-    path = tmp_path / "steady.yaml"
-    path.write_text(configuration("      steps: [1, two]\n"))
+    path = yaml_file(tmp_path, configuration("      steps: [1, two]\n"))
     said = command("config check", path, code=2).err
     assert said == f"canfb: {path}:6: source: steps must be a number, not 'two'\n"
 
