@@ -128,6 +128,23 @@ class Bench:
         return self.module.dictionary.entry(index, subindex).value
 
 
+def running(seconds: float = 0.5, **fields: Any) -> Bench:
+    """The bench after so many seconds."""
+    bench = Bench(**fields)
+    bench.bus.run_until(seconds)
+    return bench
+
+
+def lose(bench: Bench) -> Bench:
+    """It has no samples for a while; its position is lost then."""
+    bench.source.change = lambda counts: None
+    bench.bus.run_until(bench.bus.now + 0.05)
+    bench.source.change = lambda counts: counts
+    bench.bus.run_until(bench.bus.now + 0.5)
+    assert bench.value(0x2011, 1) & 4
+    return bench
+
+
 def heard(bench: Bench) -> list[Frame]:
     """All frames on its bus from now on."""
     frames: list[Frame] = []

@@ -33,15 +33,14 @@ from canfb.signal.supervision import TABLE_ACTIVE, VALID
 from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer
 from canfb.simulation.encoder import Motion, Ramp, Ripple
 from canfb.simulation.set_up import source_of
-from commissioning_kit import CYCLES, RATE_HZ, Bench, EmbeddedMaster, random_encoder
+from commissioning_kit import CYCLES, RATE_HZ, Bench, EmbeddedMaster, random_encoder, running
 from folding import each
 
 
 @pytest.mark.parametrize(("seed", "conditioning"), [(0, "fit"), (1, "none"), (2, "fit"), (3, "none")])
 def test_the_position_of_the_module_becomes_right(seed: int, conditioning: str, figures_of: Any) -> None:
     rpm = float(np.random.default_rng(seed).uniform(30, 2000))
-    bench = Bench(random_encoder(seed), rpm=rpm, store=MemoryStore())
-    bench.bus.run_until(0.2)
+    bench = running(0.2, encoder=random_encoder(seed), rpm=rpm, store=MemoryStore())
     before = np.sqrt(np.mean(position_errors(bench, 400) ** 2))
     figures = figures_of(bench, "--save", "--conditioning", conditioning)
     after = np.sqrt(np.mean(position_errors(bench, 400) ** 2))
@@ -93,8 +92,7 @@ def test_a_table_that_is_worse_than_the_one_before_is_said_to_be(capsys: pytest.
 def test_the_figures_are_those_of_the_module(figures_of: Any, capsys: pytest.CaptureFixture[str]) -> None:
     """Cycles from standstill on, missed samples by its counter, its identity; a dry run writes nothing."""
     motion = Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),))
-    bench = Bench(motion=motion, config={"serial_number": 77})
-    bench.bus.run_until(2.5)
+    bench = running(2.5, motion=motion, config={"serial_number": 77})
     rng = np.random.default_rng(2)
     bench.source.change = lambda counts: counts if rng.random() > 0.01 else None
     began, missed, asked = bench.bus.now, bench.value(0x2012, 1), bench.source.motion.position_cycles
@@ -204,8 +202,7 @@ def test_a_bad_measurement_is_refused_and_nothing_changes(
     ids=["the encoder changes", "the machine is slow and ripples", "the machine stops"],
 )
 def test_what_does_not_keep_its_promise_is_taken_back(change: Any, motion: Motion | None, words: str) -> None:
-    bench = Bench(motion=motion)
-    bench.bus.run_until(0.1)
+    bench = running(0.1, motion=motion)
 
     def happen(now: float) -> None:
         if bench.value(0x2020, 4):
@@ -218,8 +215,7 @@ def test_what_does_not_keep_its_promise_is_taken_back(change: Any, motion: Motio
 
 
 def test_a_table_that_another_master_deactivates_meanwhile_is_not_said_to_be_active() -> None:
-    bench = Bench()
-    bench.bus.run_until(0.1)
+    bench = running(0.1)
 
     def happen(now: float) -> None:
         if bench.value(0x2020, 4):
@@ -333,8 +329,7 @@ def refused(bench: Bench) -> tuple[CalibrationError, float]:
 
 @each("cycles, words", [(25.0, "a whole number"), (12.5, "n + 1/2"), (-12.5, "n + 1/2")])
 def test_a_lock_is_refused_after_a_second_with_a_speed_that_does(cycles: float, words: str) -> None:
-    bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(0.5, cycles * RPM_OF_A_CYCLE))))
-    bench.bus.run_until(1.5)
+    bench = running(1.5, motion=Motion((Ramp(0.2, 0.0), Ramp(0.5, cycles * RPM_OF_A_CYCLE))))
     error, took_s = refused(bench)
     assert took_s < 2.0
     assert error.reason == "locked"

@@ -24,7 +24,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer, SyncTiming
 from canfb.simulation.encoder import Motion, Ramp
-from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, random_encoder
+from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, random_encoder, running
 from folding import each
 
 
@@ -208,8 +208,7 @@ def test_every_sample_is_heard_in_its_order(per_sync: int) -> None:
 
 def test_the_interface_records_and_the_position_becomes_right(figures_of: Any) -> None:
     motion = Motion((Ramp(0.2, 0.0), Ramp(1.0, 13.3)))
-    bench = Bench(random_encoder(3), motion=motion, timing=SyncTiming())
-    bench.bus.run_until(1.5)
+    bench = running(1.5, encoder=random_encoder(3), motion=motion, timing=SyncTiming())
     assert bench.value(0x2011, 1) & 0x7F == 0x01
     before = np.ptp(position_errors(bench, 400))
     words = ("--method", "zero-crossings", "--source", "recording", "--seconds", "2")

@@ -25,7 +25,7 @@ from canfb.simulation.embedded_bus import SyncProducer
 from canfb.simulation.encoder import Motion
 from canfb.view.module_view import limit_settings
 from commands import Command, yaml_file
-from commissioning_kit import CYCLES, INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder
+from commissioning_kit import CYCLES, INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, lose, random_encoder, running
 from documentation import blocks, page
 from folding import each
 from node_commands import Commands, abort, between, place_of
@@ -34,28 +34,13 @@ NODE = hex(MODULE_ID)
 PAGE = page("troubleshooting")
 
 
-def turning(**fields: Any) -> Bench:
-    bench = Bench(**fields)
-    bench.bus.run_until(0.5)
-    return bench
-
-
-def silent(bench: Bench, seconds: float) -> Bench:
-    """No samples for so long."""
-    bench.source.change = lambda counts: None
-    bench.bus.run_until(bench.bus.now + seconds)
-    bench.source.change = lambda counts: counts
-    bench.bus.run_until(bench.bus.now + 0.5)
-    return bench
-
-
 def test_a_module_that_has_lost_nothing(canfb: Commands) -> None:
-    out, _ = canfb(turning(), "why", NODE)
+    out, _ = canfb(running(), "why", NODE)
     assert out == "module 32 (20h): position valid\nlast loss\n  none since the start\n"
 
 
 def test_an_interface_that_was_silent(canfb: Commands) -> None:
-    bench = silent(turning(), 0.05)
+    bench = lose(running())
     lines = canfb(bench, "why", NODE).lines
     assert lines[0].startswith("module 32 (20h): position lost")
     assert " s ago: more samples in a row were bad or missing than 2010:03 allows" in lines[2]
@@ -80,7 +65,7 @@ def test_an_interface_that_was_silent(canfb: Commands) -> None:
 
 
 def test_what_the_module_has_mapped_is_what_brings_it_back() -> None:
-    bench = turning()
+    bench = running()
     entry = bench.module.dictionary.entry
     entry(0x1401, 1).value = 0x280 + INTERFACE_ID
     for sub, place in enumerate((od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE), 1):
@@ -95,7 +80,7 @@ def test_what_the_module_has_mapped_is_what_brings_it_back() -> None:
 
 
 def test_a_module_without_samples_says_so_first(canfb: Commands) -> None:
-    silent = turning()
+    silent = running()
     silent.source.change = lambda counts: None
     for bench in (Bench(sync=False, operational=False), silent):
         out, _ = canfb(bench, "why", NODE)
@@ -103,7 +88,7 @@ def test_a_module_without_samples_says_so_first(canfb: Commands) -> None:
 
 
 def test_a_signal_that_was_never_good_is_what_is_named_and_not_a_reset(canfb: Commands) -> None:
-    bench = turning(encoder=replace(random_encoder(1), amplitude_counts=200.0))
+    bench = running(encoder=replace(random_encoder(1), amplitude_counts=200.0))
     out, _ = canfb(bench, "why", NODE)
     assert "position not valid, amplitude outside of its limits\n  a signal within 2001:03 to 2001:04" in out
     assert "node reset" not in out
@@ -113,21 +98,21 @@ def test_a_signal_that_was_never_good_is_what_is_named_and_not_a_reset(canfb: Co
 @each("rate_hz", [2.0, 5.0, 11.0])
 def test_a_slow_sync_is_seen(canfb: Commands, monkeypatch: pytest.MonkeyPatch, rate_hz: float) -> None:
     monkeypatch.setattr(commissioning_kit, "RATE_HZ", rate_hz)
-    bench = turning(rpm=0.0)
+    bench = running(rpm=0.0)
     bench.bus.run_until(5.0)
     figures = canfb(bench, "why", NODE, "--json").json
     assert figures["sample_hz"] == pytest.approx(rate_hz, abs=0.6)
 
 
 def test_a_loss_while_it_reads_is_that_of_one_time(canfb: Commands) -> None:
-    bench = turning(rpm=137.0)
+    bench = running(rpm=137.0)
     for command in (b"\x80\x20", b"\x01\x20"):  # started again in motion: lost a few samples later
         bench.bus.send(Frame(0x000, command))
     assert "the machine moved during a pause" in canfb(bench, "why", NODE)[0]
 
 
 def test_a_module_of_before_keeps_no_cause(canfb: Commands) -> None:
-    bench = silent(turning(), 0.05)
+    bench = lose(running())
     between(
         bench,
         lambda frame: (
@@ -138,7 +123,7 @@ def test_a_module_of_before_keeps_no_cause(canfb: Commands) -> None:
 
 
 def test_sdo_says_what_explains_a_lost_position(canfb: Commands) -> None:
-    bench = silent(turning(), 0.05)
+    bench = lose(running())
     assert canfb(bench, "sdo", "read", NODE, "2011:01")[0].endswith(
         "\nthe position is lost: canfb why 0x20 says why, and what brings it back\n"
     )
@@ -174,7 +159,7 @@ def test_the_longest_gap_is_that_of_the_page_on_missed_samples() -> None:
 
 @each("back", [True, False])
 def test_a_limit_that_was_too_narrow_is_named_also_after_it_was_set_back(canfb: Commands, back: bool) -> None:
-    bench = turning()
+    bench = running()
     out = canfb(bench, "sdo", "write", NODE, "residual limit", "0.0001 cycle")[0]
     assert out == (
         "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle) -> 7 (0.000106812 cycle)\n"

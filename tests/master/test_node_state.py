@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
@@ -14,7 +13,7 @@ from canfb.master.access import CommissioningError, nmt_state, state_in, without
 from canfb.master.all_or_nothing import check_unlocked
 from canfb.simulation.embedded_bus import REGULAR, SyncProducer
 from canfb.simulation.encoder import Motion, Ramp, Ripple
-from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, heard
+from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, heard, lose, running
 from node_commands import Commands
 
 ERROR_CONTROL = 0x700 + MODULE_ID
@@ -103,23 +102,8 @@ NODE = hex(MODULE_ID)
 STILL = Motion((), ())
 
 
-def running(motion: Motion, **fields: Any) -> Bench:
-    bench = Bench(motion=motion, **fields)
-    bench.bus.run_until(0.5)
-    return bench
-
-
-def lose(bench: Bench) -> Bench:
-    bench.source.change = lambda counts: None
-    bench.bus.run_until(bench.bus.now + 0.05)
-    bench.source.change = lambda counts: counts
-    bench.bus.run_until(bench.bus.now + 0.2)
-    assert bench.value(0x2011, 1) & 4
-    return bench
-
-
 def test_a_lost_position_comes_back_at_standstill(canfb: Commands) -> None:
-    bench = lose(running(STILL))
+    bench = lose(running(motion=STILL))
     out, _ = canfb(bench, "node", "reset", NODE)
     assert out.startswith("node 32 (20h): reset and started; position valid, machine still, within 0.00")
     assert bench.value(0x2011, 1) & 1
@@ -131,7 +115,7 @@ def test_a_lost_position_comes_back_at_standstill(canfb: Commands) -> None:
 
 @pytest.mark.parametrize("rpm", [0.6, 61.0, -610.0])
 def test_a_machine_that_turns_is_refused_whether_it_is_lost_or_not(canfb: Commands, rpm: float) -> None:
-    bench = running(Motion((), (), rpm))
+    bench = running(motion=Motion((), (), rpm))
     frames = heard(bench)
     for _ in range(2):
         _, err = canfb(bench, "node", "reset", NODE, code=1)
@@ -142,14 +126,14 @@ def test_a_machine_that_turns_is_refused_whether_it_is_lost_or_not(canfb: Comman
 
 def silent() -> Bench:
     """A missed sample is no sample."""
-    bench = running(STILL)
+    bench = running(motion=STILL)
     bench.source.change = lambda counts: None
     return bench
 
 
 def at_a_whole_cycle() -> Bench:
     """For each sample: its phase stands still, and the count does not."""
-    bench = running(Motion((Ramp(1.0, 60.0 * RATE_HZ / CYCLES),)))
+    bench = running(motion=Motion((Ramp(1.0, 60.0 * RATE_HZ / CYCLES),)))
     bench.bus.run_until(3.0)
     return bench
 
@@ -166,14 +150,15 @@ def slow(rate_hz: float) -> Bench:
 
 # A millicycle to and fro, around a place where the phase wraps.
 HELD = Motion((), (Ripple(60.0 * 0.001 * 6.28 * 5.0 / CYCLES, 5.0),))
+TURNS, STARTS = Motion((), (), 0.6), Motion((Ramp(1.2, 0.0), Ramp(0.3, 20.0)))
 CASES: list[tuple[Callable[[], Bench], tuple[str, ...], str]] = [
-    (lambda: running(HELD), (), "position valid"),
-    (lambda: running(STILL), ("--force",), "machine not looked at"),
-    (lambda: running(Motion((), (), 0.6)), ("--force",), "reset and started, but its position is lost"),
-    (lambda: running(Motion((Ramp(1.2, 0.0), Ramp(0.3, 20.0)))), (), "began to move while it was reset"),
+    (lambda: running(motion=HELD), (), "position valid"),
+    (lambda: running(motion=STILL), ("--force",), "machine not looked at"),
+    (lambda: running(motion=TURNS), ("--force",), "reset and started, but its position is lost"),
+    (lambda: running(motion=STARTS), (), "began to move while it was reset"),
     (lambda: slow(5.0), (), "position valid"),
     (lambda: slow(100.0), (), "position valid"),
-    (lambda: running(STILL, sync=False), (), "so it cannot be seen whether the machine stands still"),
+    (lambda: running(motion=STILL, sync=False), (), "so it cannot be seen whether the machine stands still"),
     (silent, (), "so it cannot be seen whether the machine stands still"),
     (at_a_whole_cycle, (), "the machine moves, it has moved by +"),
 ]
@@ -188,7 +173,7 @@ def test_what_is_said_of_a_reset(
 
 
 def test_a_position_that_is_lost_again_at_once_is_told(canfb: Commands) -> None:
-    bench = running(STILL)
+    bench = running(motion=STILL)
     bench.module.dictionary.entry(0x2001, 3).value = 410
     reset_from = bench.bus.now
 

@@ -27,7 +27,7 @@ from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import value_range
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from commissioning_kit import MODULE_ID, OTHER, TABLE, Bench
+from commissioning_kit import MODULE_ID, OTHER, TABLE, Bench, running
 from documentation import blocks, commands, page
 from drawing import examples
 from node_commands import ANSWER, Commands, between, interrupt, is_write, place_of, refuse_once
@@ -171,8 +171,7 @@ def test_a_restore_that_fails_brings_back_what_was(
 
 
 def test_a_machine_that_runs_is_left_alone(canfb: Commands, file: Path) -> None:
-    bench = Bench()
-    bench.bus.run_until(0.2)
+    bench = running(0.2)
     before = values(bench)
     _, err = canfb(bench, "backup", "restore", file, code=1)
     assert "module 32 (20h) is in OPERATIONAL: a restore switches its PDOs off meanwhile" in err

@@ -21,7 +21,7 @@ from canfb.objects import StatusBit
 from canfb.sdo.object_description import ObjectDescriptions, numbered
 from canfb.sdo.sdo_tasks import MODULE, abort_words, in_words, parse_value, short_real, value_range
 from canfb.signal.correction import CorrectionTable
-from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
+from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench, running
 from documentation import blocks, commands, page
 from node_commands import Commands, abort, between, drop_answer, is_write
 
@@ -75,8 +75,7 @@ def test_the_eds_follows_from_the_node(canfb: Commands, bench: Bench) -> None:
 
 
 def test_bits_and_states_in_words(canfb: Commands) -> None:
-    bench = Bench()
-    bench.bus.run_until(0.2)
+    bench = running(0.2)
     assert canfb(bench, "sdo", "read", NODE, "status word")[0].endswith(": 1 (valid)\n")
     out = canfb(bench, "sdo", "write", NODE, "2030:01", "Start")[0]
     assert out == "2030:01 Reference measurement in the module: Command: 0 -> 1 (start)\n"
@@ -257,8 +256,7 @@ def test_the_commands_of_the_page_run(
     canfb: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    bench = Bench(store=MemoryStore())
-    bench.bus.run_until(0.2)
+    bench = running(0.2, store=MemoryStore())
     Path("drive.eds").write_bytes(eds_path("drive").read_bytes())
     *good, bad = (words for words in commands(PAGE) if words[0] == "sdo")
     said = [canfb(bench, *words)[0] for words in good]
@@ -326,8 +324,7 @@ def test_every_abort_code_has_words(code: int) -> None:
 
 
 def test_a_preset_in_motion_says_what_it_needs(canfb: Commands) -> None:
-    bench = Bench(rpm=600.0)
-    bench.bus.run_until(0.5)
+    bench = running(rpm=600.0)
     for preset in ("6003", "6009"):
         _, err = canfb(bench, "sdo", "write", NODE, preset, "0", code=1)
         assert "(08000022h); a preset needs a valid position at standstill: stop the machine" in err

@@ -16,7 +16,7 @@ from canfb.master.all_or_nothing import put_in_force, read_active
 from canfb.sdo.tables import as_yaml, difference, read_table
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
-from commissioning_kit import MODULE_ID, OTHER, PHASES, TABLE, Bench
+from commissioning_kit import MODULE_ID, OTHER, PHASES, TABLE, Bench, running
 from documentation import blocks, commands, page
 from node_commands import Commands, interrupt, refuse_once
 
@@ -136,8 +136,7 @@ def test_a_full_disk_is_named_and_the_old_table_is_in_force(
 
 
 def test_the_table_of_another_encoder_is_refused(canfb: Commands, tmp_path: Path) -> None:
-    bench = Bench()
-    bench.bus.run_until(0.5)
+    bench = running()
     before = in_force(bench)
     path = tmp_path / "other.yaml"
     path.write_text(as_yaml(Correction(TABLE, Conditioning(sine_gain=3.0, cosine_gain=3.0)), {}))
