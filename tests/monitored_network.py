@@ -81,8 +81,9 @@ class MonitoredNetwork:
         self.frames.append((frame, now))
         self.model.receive(frame, now)
 
-    def run(self, seconds: float) -> None:
+    def run(self, seconds: float) -> MonitoredNetwork:
         self.bus.run_until(self.bus.now + seconds)
+        return self
 
     def log(self, path: Path) -> Path:
         """All frames so far in a log of python-can."""

@@ -30,8 +30,7 @@ from processes import python
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """1.2 s of a module that loses its position at the end."""
-    network = MonitoredNetwork()
-    network.run(1.2)
+    network = MonitoredNetwork().run(1.2)
     network.source.lost = True
     network.run(0.05)
     return network.log(tmp_path_factory.mktemp("log") / "drive.log")
@@ -198,8 +197,7 @@ def test_of_a_log_that_is_cut_off_the_rest_is_shown(
 
 def test_modules_that_nobody_names_are_known_by_what_they_send(tmp_path: Path, command: Command) -> None:
     """In a log from its first frame on; of other nodes nothing is taken for a PDO of a module."""
-    network = MonitoredNetwork((0x20, 0x31), known=())
-    network.run(0.2)
+    network = MonitoredNetwork((0x20, 0x31), known=()).run(0.2)
     figures = command("monitor --frames --json --pdo --log", network.log(tmp_path / "drive.log")).objects
     sent = [frame.can_id for frame, _ in network.frames if frame.can_id in PDOS]
     assert [one["can_id"] for one in figures] == sent

@@ -31,9 +31,7 @@ from monitored_network import BIT_RATE, INTERFACE, NODE, MonitoredNetwork
 
 @pytest.fixture(scope="module")
 def turning() -> MonitoredNetwork:
-    network = MonitoredNetwork()
-    network.run(2.0)
-    return network
+    return MonitoredNetwork().run(2.0)
 
 
 def reader_of(dictionary: Any, missing: od.Multiplexer | None = None) -> Read:
@@ -85,8 +83,7 @@ def test_velocity_goes_on_over_the_end_of_the_range_backwards_and_over_a_preset(
 
 
 def test_faults_are_counted_as_the_module_counts_them() -> None:
-    network = MonitoredNetwork()
-    network.run(1.5)
+    network = MonitoredNetwork().run(1.5)
     assert nodes(network)[NODE].emergencies == []
     network.source.lost = True
     network.run(0.02)
@@ -105,8 +102,7 @@ def test_faults_are_counted_as_the_module_counts_them() -> None:
 
 
 def test_nmt_states_are_followed(turning: MonitoredNetwork) -> None:
-    network = MonitoredNetwork()
-    network.run(0.0009)
+    network = MonitoredNetwork().run(0.0009)
     assert nodes(network)[NODE].state == "PRE-OPERATIONAL", "the boot-up"
     network.run(0.1)
     assert (nodes(network)[NODE].state, nodes(network)[NODE].state_source) == ("OPERATIONAL", "PDO")
@@ -310,8 +306,7 @@ def test_pairs_are_counted_to_the_first_that_is_not_mapped() -> None:
 
 
 def test_the_load_is_that_of_the_frames_that_were_there() -> None:
-    network = MonitoredNetwork()
-    network.run(2.05)
+    network = MonitoredNetwork().run(2.05)
     load = network.model.snapshot(network.bus.now).load
     of_it = [frame for frame, now in network.frames if 1.0 <= now < 2.0]
     assert load.frames_per_s == pytest.approx(len(of_it), abs=1)

@@ -25,15 +25,13 @@ SIZES = [(80, 24), (120, 40), (50, 24), (200, 60)]
 
 @pytest.fixture(scope="module")
 def good() -> BusSnapshot:
-    network = MonitoredNetwork()
-    network.run(3.0)
+    network = MonitoredNetwork().run(3.0)
     return network.model.snapshot(network.bus.now)
 
 
 @pytest.fixture(scope="module")
 def lost() -> BusSnapshot:
-    network = MonitoredNetwork()
-    network.run(1.5)
+    network = MonitoredNetwork().run(1.5)
     network.source.lost = True
     network.run(0.05)
     return network.model.snapshot(network.bus.now)
@@ -91,8 +89,7 @@ def test_old_figures_are_not_shown_as_present(good: BusSnapshot) -> None:
 
 
 def test_many_modules_are_a_table_with_what_is_wrong() -> None:
-    network = MonitoredNetwork((0x20, 0x21, 0x22, 0x23), known=(0x20, 0x21, 0x22, 0x23, 0x40))
-    network.run(1.2)
+    network = MonitoredNetwork((0x20, 0x21, 0x22, 0x23), known=(0x20, 0x21, 0x22, 0x23, 0x40)).run(1.2)
     network.source.lost = True
     network.run(0.02)
     snapshot = network.model.snapshot(network.bus.now)
@@ -193,8 +190,7 @@ def without_figures(text: str) -> str:
 
 
 def test_the_page_is_that_of_the_program() -> None:
-    network = MonitoredNetwork(jitter_us=20.0)
-    network.run(2.0)
+    network = MonitoredNetwork(jitter_us=20.0).run(2.0)
     network.source.lost = True
     network.run(0.0035)
     network.source.lost = False
