@@ -216,12 +216,13 @@ OFF_1, ON_1 = 0xC00001A0, 0x400001A0
 OFF_2, ON_2 = 0x800002A0, 0x000002A0
 
 
-def set_up(bench: Bench, *, kind: int, inhibit: int = 0, timer: int = 0, start: int = 0) -> None:
+def set_up(bench: Bench, *, kind: int, inhibit: int = 0, timer: int = 0, start: int = 0) -> Bench:
     """TPDO2 with remote frames allowed, one U32."""
     assert bench.write(0x1801, 1, OFF_2, 4) == OK
     for subindex, value, size in ((2, kind, 1), (3, inhibit, 2), (5, timer, 2), (6, start, 1)):
         assert bench.write(0x1801, subindex, value, size) == OK
     assert bench.write(0x1801, 1, ON_2, 4) == OK
+    return bench
 
 
 def set_value(bench: Bench, value: int) -> None:
@@ -230,15 +231,13 @@ def set_value(bench: Bench, value: int) -> None:
 
 @pytest.mark.parametrize("option", [{"start": 4}, {"inhibit": 10000}])
 def test_what_is_not_for_synchronous_ones_without_a_counter(bench: Bench, option: dict[str, int]) -> None:
-    set_up(bench, kind=1, **option)
-    bench.operational()
+    set_up(bench, kind=1, **option).operational()
     assert bench.sync() == bench.sync() == ["2A0#00000000"]
 
 
 @pytest.mark.parametrize("kind", [0, 1, 0xFD, 254, 255])
 def test_a_remote_frame(bench: Bench, kind: int) -> None:
-    set_up(bench, kind=kind)
-    bench.operational()
+    set_up(bench, kind=kind).operational()
     set_value(bench, 9)
     assert bench.send(0x2A0, rtr=True) == ["2A0#09000000"]
     assert bench.send(0x1A0, rtr=True) == [], "not allowed"
@@ -246,8 +245,7 @@ def test_a_remote_frame(bench: Bench, kind: int) -> None:
 
 
 def test_sampled_at_the_sync_and_sent_on_a_remote_frame(bench: Bench) -> None:
-    set_up(bench, kind=0xFC)
-    bench.operational()
+    set_up(bench, kind=0xFC).operational()
     set_value(bench, 9)
     assert bench.send(0x2A0, rtr=True) == bench.sync() == []
     set_value(bench, 10)
@@ -290,8 +288,7 @@ class TimerModel:
 
 
 def test_an_event_that_waits_for_a_sync_is_sent_once_by_another_type(bench: Bench) -> None:
-    set_up(bench, kind=0)
-    bench.operational()
+    set_up(bench, kind=0).operational()
     bench.node.trigger_tpdo(2, bench.now)
     assert bench.write(0x1801, 2, 254, 1) == OK
     assert len(bench.run(1.0)) == 1
@@ -306,8 +303,7 @@ def test_any_events_are_sent_as_the_model_says(
 ) -> None:
     bench = Bench(Dictionary.load(sample_path, 32))
     bench.start()
-    set_up(bench, kind=254, inhibit=10 * inhibit_ms, timer=timer_ms)
-    bench.operational()
+    set_up(bench, kind=254, inhibit=10 * inhibit_ms, timer=timer_ms).operational()
     model, seen = TimerModel(inhibit_ms / 1000, timer_ms / 1000), list[float]()
     for wait_ms, what in steps:
         seen += [at for at, _ in bench.run(wait_ms / 1000)]
