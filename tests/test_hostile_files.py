@@ -22,6 +22,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.sources import sample_files
 from canfb.sources.recording_source import RecordingLayout, open_recording
+from commands import yaml_file
 
 LISTS = [f"&b{n} [{', '.join([f'*b{n - 1}' if n else '0.5'] * 9)}]" for n in range(9)]
 BOMB = "x:\n" + "".join(f"- {one}\n" for one in LISTS)
@@ -31,8 +32,7 @@ HUGE = "9" * 400
 
 @pytest.mark.parametrize("begin", [BOMB, SELF], ids=["billion", "itself"])
 def test_aliases_that_stand_for_any_number_of_values(tmp_path: Path, begin: str) -> None:
-    path = tmp_path / "a.yaml"
-    path.write_text(f"{begin}entries: *b8\n")
+    path = yaml_file(tmp_path, f"{begin}entries: *b8\n")
     with pytest.raises(CanfbError, match="more than 100000 values"):
         read_table(path)
     path.write_text(f"{begin}canfb_backup: *b8\n")
@@ -150,26 +150,21 @@ def test_a_recording_with_hardly_a_step_of_time(tmp_path: Path) -> None:
 
 
 def test_an_entry_of_a_table_that_is_no_float(tmp_path: Path) -> None:
-    path = tmp_path / "a.yaml"
-    path.write_text(f"entries: [0.0, {HUGE}]\n")
+    path = yaml_file(tmp_path, f"entries: [0.0, {HUGE}]\n")
     with pytest.raises(CanfbError, match=r"line 1: .*entries must be less"):
         read_table(path)
 
 
 @pytest.mark.parametrize("value", ["!!bool 7", "!!int ''", "2023-02-30", "0x_", "9" * 5000])
 def test_a_value_of_a_table_that_is_none(tmp_path: Path, value: str) -> None:
-    (tmp_path / "a.yaml").write_text(f"canfb_table: 1\nmeasured: {value}\n")
+    path = yaml_file(tmp_path, f"canfb_table: 1\nmeasured: {value}\n")
     with pytest.raises(CanfbError, match=r"line 2: .*quote text values"):
-        read_table(tmp_path / "a.yaml")
+        read_table(path)
 
 
 def test_a_long_offset_is_that_of_the_file_that_is_written(tmp_path: Path) -> None:
-    path = tmp_path / "a.yaml"
-    path.write_text(
-        as_yaml(Correction(CorrectionTable.identity(16)), {}).replace(
-            "offset_counts: 0.0", f"offset_counts: {2**53 + 1}"
-        )
-    )
+    text = as_yaml(Correction(CorrectionTable.identity(16)), {})
+    path = yaml_file(tmp_path, text.replace("offset_counts: 0.0", f"offset_counts: {2**53 + 1}"))
     used = read_table(path).used
     path.write_text(as_yaml(used, {}))
     assert read_table(path).used == used

@@ -13,6 +13,7 @@ import configuring
 import nodes
 import pytest
 from hypothesis import given, strategies as st
+from network_bench import write
 from story_bench import FOLDER, DriveNetwork, assert_all_quiet
 
 import master
@@ -161,8 +162,7 @@ def writable(device: Any) -> dict[tuple[int, int], Any]:
 def test_another_device_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     network = DriveNetwork()
     before = writable(network.drive)
-    path = tmp_path / "network.yaml"
-    path.write_text(TEXT.replace("product_code: 3", "product_code: 4"), encoding="utf-8")
+    path = write(tmp_path, TEXT.replace("product_code: 3", "product_code: 4"))
     with pytest.raises(configuring.NetworkError, match=r"drive \(30h\) 1018:02: another device"):
         network.run(file=path)
     assert writable(network.drive) == before
@@ -176,23 +176,20 @@ def test_another_device_is_refused_before_anything_is_written(tmp_path: Path) ->
     ],
 )
 def test_a_network_without_what_the_story_needs(tmp_path: Path, old: str, new: str, message: str) -> None:
-    path = tmp_path / "network.yaml"
     text = TEXT.replace(old, new)
     if "motor" in new:
         text = text.replace("node: drive", "node: motor").replace("module, drive]", "module, motor]")
-    path.write_text(text, encoding="utf-8")
     network = DriveNetwork()
     with pytest.raises(axis.FaultError, match=message):
-        network.run(file=path)
+        network.run(file=write(tmp_path, text))
     assert_all_quiet(network)
 
 
 def test_a_wrong_file_and_a_bus_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "network.yaml"
-    path.write_text("nodes: 3\n", encoding="utf-8")
+    path = write(tmp_path, "nodes: 3\n")
     assert master.main([str(path)]) == 2
     assert capsys.readouterr().err.startswith(f"master: {path}:1: the network: 'bus' is missing")
-    path.write_text(TEXT.replace("channel: vcan0", "channel: no0"), encoding="utf-8")
+    write(tmp_path, TEXT.replace("channel: vcan0", "channel: no0"))
     assert master.main([str(path)]) == 1
     said = capsys.readouterr().err
     assert said.startswith("master: ")
