@@ -16,9 +16,9 @@ from canfb.master.samples import TrackSamples
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import REGULAR, EmbeddedBus, SyncProducer, SyncTiming
 from canfb.simulation.encoder import Encoder, Harmonic, Motion, MotionSource, Ripple, ShaftEncoder
+from played import Changing
 from tools.soak import embedded_master
 
 MODULE_ID, INTERFACE_ID = 0x20, 0x10
@@ -46,18 +46,6 @@ def random_encoder(seed: int) -> Encoder:
         ),
         noise_lsb=float(rng.uniform(0.3, 1.0)),
     )
-
-
-class ChangingSource:
-    """A motion whose encoder or counts a test may change on the way."""
-
-    def __init__(self, encoder: Encoder, motion: Motion) -> None:
-        self.motion = MotionSource(ShaftEncoder(encoder, CYCLES, seed=7), motion, 1.0 / RATE_HZ)
-        self.change: Callable[[tuple[float, float]], tuple[float, float] | None] = lambda counts: counts
-
-    def next(self) -> Sample | None:
-        counts = self.change(self.motion.next()[:2])
-        return None if counts is None else Sample(*counts)
 
 
 class EmbeddedMaster(embedded_master.EmbeddedMaster):
@@ -95,7 +83,8 @@ class Bench:
         self.bus = EmbeddedBus()
         timed = self.timing is not None
         turning = Motion((), (Ripple(0.02 * self.rpm, 0.31), Ripple(0.01 * self.rpm, 1.7)), self.rpm)
-        self.source = ChangingSource(self.encoder, self.motion or turning)
+        shaft = ShaftEncoder(self.encoder, CYCLES, seed=7)
+        self.source = Changing(MotionSource(shaft, self.motion or turning, 1.0 / RATE_HZ))
         self.module = FeedbackModule(
             ModuleConfig(
                 node_id=MODULE_ID,
@@ -109,7 +98,7 @@ class Bench:
         )
         self.interface = EncoderInterface(
             INTERFACE_ID,
-            self.source.motion if timed else self.source,
+            self.source.source if timed else self.source,
             autostart=self.operational,
             times=timed,
             samples_per_sync=self.config.get("samples_per_sync", 1),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 from canfb.cia301.frame import Frame
 from canfb.signal.sample import Sample
@@ -31,6 +32,18 @@ class Listed:
 def repeated(*samples: Sample | tuple[int, int] | Exception | None) -> Listed:
     """A source whose last sample comes again and again."""
     return Listed(itertools.chain(samples, itertools.repeat(samples[-1])))
+
+
+class Changing:
+    """A source whose samples a test may change on the way: to others, pairs of counts, None (a lost one)."""
+
+    def __init__(self, source: Any) -> None:
+        self.source = source
+        self.change: Callable[[Any], Any] = lambda sample: sample
+
+    def next(self) -> Sample | None:
+        changed = self.change(self.source.next())
+        return None if changed is None else Sample(*changed)
 
 
 class Still:

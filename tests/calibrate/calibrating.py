@@ -44,7 +44,7 @@ def position_errors(bench: Bench, samples: int) -> Any:
         bench.bus.run_until(bench.bus.now + 0.001)
         feedback = bench.module.feedback
         assert feedback is not None
-        errors.append(feedback.phase - bench.source.motion.position_cycles)
+        errors.append(feedback.phase - bench.source.source.position_cycles)
     off = np.mod(errors, 1.0)
     middle = np.angle(np.mean(np.exp(2j * np.pi * off))) / (2 * np.pi)
     off = (off - middle + 0.5) % 1.0 - 0.5

@@ -95,14 +95,14 @@ def test_the_figures_are_those_of_the_module(figures_of: Any, capsys: pytest.Cap
     bench = running(2.5, motion=motion, config={"serial_number": 77})
     rng = np.random.default_rng(2)
     bench.source.change = lambda counts: counts if rng.random() > 0.01 else None
-    began, missed, asked = bench.bus.now, bench.value(0x2012, 1), bench.source.motion.position_cycles
+    began, missed, asked = bench.bus.now, bench.value(0x2012, 1), bench.source.source.position_cycles
     found = figures_of(bench, "--dry-run")
     assert found["module_lost"] is False
     assert found["module_missed"] == bench.value(0x2012, 1) - missed
     assert found["samples_missed"] == pytest.approx(found["module_missed"], abs=2)
     assert found["samples_missed"] > 5
     assert found["intervals_without_sync"] == 0
-    moved = bench.source.motion.position_cycles - asked
+    moved = bench.source.source.position_cycles - asked
     assert 1.5 * 9.0 * CYCLES < moved < 3.0 * 11.0 * CYCLES
     assert found["module_cycles"] == pytest.approx(moved, rel=0.05)
     assert found["mean_rate_hz"] == pytest.approx(found["sample_rate_hz"], rel=0.01)

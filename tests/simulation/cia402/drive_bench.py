@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import struct
-from collections.abc import Callable
 from typing import Any
 
 import canopen
@@ -18,28 +17,16 @@ from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant, PlantSource
 from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder
+from played import Changing
 
 DRIVE_ID, MODULE_ID, INTERFACE_ID = 0x30, 0x20, 0x10
 UNITS = 1 << 20
 SYNC = Frame(0x80, b"")
-
-
-class Tampering:
-    """A source whose samples a test may spoil: None for a lost one."""
-
-    def __init__(self, source: PlantSource) -> None:
-        self.source = source
-        self.fault: Callable[[Sample], Sample | None] | None = None
-
-    def next(self) -> Sample | None:
-        sample = self.source.next()
-        return sample if self.fault is None else self.fault(sample)
 
 
 class DriveBench:
@@ -64,7 +51,7 @@ class DriveBench:
         self.motor = Motor(DriveConfig(node_id=DRIVE_ID, synchronous_feedback=synchronous, **motor))
         self.plant = Plant(self.motor)
         encoder = Encoder(noise_lsb=0.5)
-        self.source = Tampering(PlantSource(ShaftEncoder(encoder, cycles_per_revolution), self.plant))
+        self.source = Changing(PlantSource(ShaftEncoder(encoder, cycles_per_revolution), self.plant))
         self.interface = EncoderInterface(INTERFACE_ID, self.source, clock=SampleClock(100.0))
         config = ModuleConfig(
             node_id=MODULE_ID, encoder_interface=INTERFACE_ID, cycles_per_revolution=cycles_per_revolution

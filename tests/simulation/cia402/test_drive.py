@@ -58,7 +58,7 @@ def test_wrong_feedback_takes_the_torque_away_in_the_same_cycle(
     spoil: Callable[[Sample], Sample], synchronous: bool
 ) -> None:
     bench = cruising(synchronous=synchronous)
-    bench.source.fault = spoil
+    bench.source.change = spoil
     bench.onward()
     assert_fault(bench, 0x7305)
     assert bench.emergencies(MODULE_ID)[-1] == 0x7300
@@ -73,10 +73,10 @@ def test_wrong_feedback_takes_the_torque_away_in_the_same_cycle(
 
 def test_the_fault_stays_until_it_is_reset_and_the_feedback_is_good() -> None:
     bench = cruising()
-    bench.source.fault = lambda sample: Sample(0, 0)
+    bench.source.change = lambda sample: Sample(0, 0)
     for _ in range(10):
         bench.onward()
-    bench.source.fault = None
+    bench.source.change = lambda sample: sample
     place = bench.motor.revolutions
     for controlword in (0x06, 0x07, 0x0F, 0x00, 0x80, 0x0F):  # a reset among them: the position is lost
         bench.control(controlword)
@@ -225,7 +225,7 @@ def test_the_time_of_6066h_passes_before_the_fault() -> None:
 
 
 def lose_feedback(bench: DriveBench) -> None:
-    bench.source.fault = lambda sample: Sample(0, 0)
+    bench.source.change = lambda sample: Sample(0, 0)
     bench.cycle()
 
 
