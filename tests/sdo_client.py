@@ -38,8 +38,8 @@ def upload(ask: Ask, multiplexer: bytes) -> bytes:
     return data
 
 
-def download(ask: Ask, multiplexer: bytes, data: bytes, *, announced: bool = True) -> bytes:
-    """By segments; the abort, or nothing."""
+def download_steps(multiplexer: bytes, data: bytes, *, announced: bool = True) -> list[tuple[bytes, bytes]]:
+    """The requests of a download by segments, and the answer to each."""
     size = (len(data) if announced else 0).to_bytes(4, "little")
     steps = [(bytes([0x20 | announced]) + multiplexer + size, b"\x60" + multiplexer)]
     parts = segments(data)
@@ -47,7 +47,12 @@ def download(ask: Ask, multiplexer: bytes, data: bytes, *, announced: bool = Tru
         toggle = 0x00 if number % 2 else 0x10
         head = toggle | (7 - len(part)) << 1 | (number == len(parts))
         steps.append((bytes([head]) + part, bytes([0x20 | toggle])))
-    for request, confirmed in steps:
+    return steps
+
+
+def download(ask: Ask, multiplexer: bytes, data: bytes, *, announced: bool = True) -> bytes:
+    """By segments; the abort, or nothing."""
+    for request, confirmed in download_steps(multiplexer, data, announced=announced):
         (answer,) = ask(request)
         if answer[0] == ABORT:
             return answer

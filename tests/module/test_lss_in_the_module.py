@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import canopen
 import canopen.lss
 import pytest
@@ -20,6 +18,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 from ideal_tracks import counts_at, wavy_table
 from played import Still
+from sdo_client import download_steps
 
 NODE_ID, DELAY_S = 0x20, 0.05
 BOOT_UP, EMCY, POSITION, SDO, HEARTBEAT = 0x720, 0xA0, 0x1A0, 0x5A0, 0x720
@@ -97,18 +96,9 @@ def test_a_refused_activation_makes_no_silence(line: Line, index: int | None) ->
     assert len([frame for _, frame in line.run(0.02) if frame.can_id == POSITION]) == 20
 
 
-def segments(data: bytes) -> Iterator[str]:
-    """A segmented download of the table: initiate, then 7 bytes in each segment."""
-    yield f"21202001{len(data).to_bytes(4, 'little').hex()}"
-    for n, start in enumerate(range(0, len(data), 7)):
-        piece = data[start : start + 7]
-        last = start + 7 >= len(data)
-        command = (n % 2) << 4 | (7 - len(piece)) << 1 | last
-        yield bytes([command, *piece]).hex()
-
-
 def test_a_table_upload_that_falls_into_it_is_given_up(line: Line) -> None:
-    requests = list(segments(TABLE.to_bytes()))
+    steps = download_steps(bytes.fromhex("202001"), TABLE.to_bytes())
+    requests = [request.hex() for request, _ in steps]
     assert all(line.asked(request) for request in requests[:10])
     line.switch()
     assert line.asked(requests[10]) == []  # the client sees no answer ...
