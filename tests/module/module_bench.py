@@ -55,6 +55,9 @@ class Bench:
         self.stage(table)
         self.sdo[0x2020][3].raw = table.crc32
 
+    def value(self, index: int, subindex: int = 0) -> Any:
+        return self.module.dictionary.entry(index, subindex).current()
+
     def in_force(self) -> tuple[int, int, int]:
         """CRC of the staged table, CRC and entries of the active one: 2020:02, 04, 05."""
         return tuple(self.sdo[0x2020][subindex].raw for subindex in (2, 4, 5))

@@ -48,9 +48,6 @@ class Machine(Bench):
         turns = 2500 * 209
         return (away + turns / 2) % turns - turns / 2, status
 
-    def read(self, index: int, subindex: int) -> Any:
-        return self.module.dictionary.entry(index, subindex).current()
-
     def run(self, samples: int) -> np.ndarray:
         """Errors of so many samples, all valid; the whole cycles of the start are taken away."""
         found = [self.sample() for _ in range(samples)]
@@ -89,7 +86,7 @@ def test_the_position_is_that_of_the_sync(fields: dict[str, Any], lag_s: float) 
 def test_other_objects_say_the_same_position() -> None:
     machine = Machine(accelerating(40.037), lag_s=1e-4, conditioning=Conditioning(delay_s=1e-4))
     machine.run(500)
-    read = machine.read
+    read = machine.value
     place = read(0x2011, 4) + read(0x2011, 3) / 2**32
     assert place == pytest.approx(machine.place_at(machine.now), abs=1e-4)
     units = read(0x6004, 0)

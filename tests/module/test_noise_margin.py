@@ -52,9 +52,6 @@ class Turning(Bench):
     def limit(self) -> float:
         return self.module.limits.residual_limit
 
-    def read(self, place: tuple[int, int]) -> float:
-        return float(self.module.dictionary.entry(*place).current())
-
 
 BOUND = cycles_per_interval_squared(ACCELERATION, N, PERIOD_S)
 FIXED_LIMIT = narrowed_residual_limit(1.0 / 3.0, ACCELERATION, N, PERIOD_S)
@@ -69,7 +66,7 @@ def test_it_is_never_looser_than_the_fixed_limit_which_is_that_of_0(margin: int,
         machine.run(150)
         assert BOUND <= machine.limit <= FIXED_LIMIT * 1.001
     assert margin or machine.limit == pytest.approx(FIXED_LIMIT, rel=1e-3)
-    assert noise != 0.5 or machine.read(od.FEEDBACK_NOISE) > 0
+    assert noise != 0.5 or machine.value(*od.FEEDBACK_NOISE) > 0
 
 
 @each("event", ["table", "margin off", "reset"])
@@ -95,7 +92,7 @@ def test_a_fault_that_grows_below_the_limit_is_found_at_the_stated_bound(period:
     largest_limit = BOUND + 6.0 * 2.0 * reference
     assert largest_limit < 0.05  # with the fixed margin it would not be found here
     error, sync = 0.0, 0
-    while not machine.read(od.COUNTER_RESIDUAL):
+    while not machine.value(*od.COUNTER_RESIDUAL):
         error, sync = error + 1e-6, sync + 1
         machine.error_cycles = error if sync % period == 0 else 0.0
         machine.run()
@@ -111,7 +108,7 @@ def test_no_false_alarm_at_any_speed_after_learning_at_one() -> None:
             machine.speed += max(-0.009, min(0.009, speed - machine.speed))
             machine.run()
         machine.run(200)
-    assert [machine.read(place) for place in (od.COUNTER_RESIDUAL, od.COUNTER_LOST)] == [0, 0]
+    assert [machine.value(*place) for place in (od.COUNTER_RESIDUAL, od.COUNTER_LOST)] == [0, 0]
 
 
 @pytest.mark.parametrize(("place", "layout", "only"), [((0x2010, 7), "<B", 2), ((0x2010, 8), "<f", 0.0)])

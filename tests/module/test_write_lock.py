@@ -43,9 +43,6 @@ class Locked(Bench):
             self.sent(Frame(0x620, struct.pack("<BHBI", 0x80, index, sub, 0)))
         return said
 
-    def value(self, index: int, sub: int = 0) -> Any:
-        return self.module.dictionary.entry(index, sub).current()
-
     def unlock(self, code: int = CODE) -> str:
         return self.write(*od.WRITE_LOCK_UNLOCK_CODE, "I", code)
 
