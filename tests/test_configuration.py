@@ -139,21 +139,23 @@ def test_a_file_that_is_not_utf_8(tmp_path: Path, data: bytes, line: int) -> Non
         canfb.load_config(path)
 
 
-def loads_or_is_refused(text: str) -> None:
+def loaded_or_refused(text: str) -> Config | None:
+    """What the text says; None if it was refused, in one line."""
     try:
         config = parse_config(text, "f.yaml")
     except ConfigError as error:
-        message: str | None = str(error)
+        message = str(error)
     else:
-        message = None
         assert isinstance(config, Config)
         assert config.modules
-    assert message is None or re.fullmatch(r"f\.yaml:[0-9]+: \S[^\n]*", message)
+        return config
+    assert re.fullmatch(r"f\.yaml:[0-9]+: \S[^\n]*", message)
+    return None
 
 
 @given(st.text())
 def test_any_text_loads_or_is_refused(text: str) -> None:
-    loads_or_is_refused(text)
+    loaded_or_refused(text)
 
 
 # Words that matter to YAML and to us, so that more than the first character gets read.
@@ -172,7 +174,7 @@ WORDS = st.sampled_from(TOKENS.split() + SPACED)
 @examples(400)
 @given(st.lists(WORDS, max_size=25).map("".join))
 def test_anything_that_looks_like_yaml_loads_or_is_refused(text: str) -> None:
-    loads_or_is_refused(text)
+    loaded_or_refused(text)
 
 
 values = st.recursive(
@@ -197,9 +199,7 @@ KEYS = ("node_id", "encoder_interface", "cycles_per_revolution", "adc_bits", "am
     st.dictionaries(st.sampled_from(KEYS), values, max_size=4), st.dictionaries(st.text(max_size=8), values)
 )
 def test_any_value_of_a_key_loads_or_is_refused(module: dict[str, object], bus: dict[str, object]) -> None:
-    loads_or_is_refused(
-        yaml.safe_dump({"modules": [{"node_id": 3} | module], "bus": bus}, allow_unicode=True)
-    )
+    loaded_or_refused(yaml.safe_dump({"modules": [{"node_id": 3} | module], "bus": bus}, allow_unicode=True))
 
 
 def test_the_keys_above_are_all_that_a_module_has() -> None:
