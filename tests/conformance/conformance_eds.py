@@ -32,7 +32,6 @@ class EdsEntry:
     high: str
     mappable: bool
     node_id: int
-    object_type: int = 0x07
     flags: int = 0
 
     @property
@@ -121,7 +120,6 @@ class Eds:
             options.get("HighLimit", ""),
             int(options.get("PDOMapping", "0") or "0", 0) == 1,
             self.node_id,
-            object_type,
             int(options.get("ObjFlags", "0") or "0", 0),
         )
 

@@ -18,7 +18,6 @@ REQUEST, ANSWER, REQUEST_2, ANSWER_2 = 0x620, 0x5A0, 0x6C0, 0x540
 SAVE, LOAD = struct.pack("<BHB4s", 0x23, 0x1010, 1, b"save"), struct.pack("<BHB4s", 0x23, 0x1011, 1, b"load")
 SAVED, LOADED = bytes.fromhex("6010100100000000"), bytes.fromhex("6011100100000000")
 HARDWARE = bytes.fromhex("8010100100000606")
-SYNC, SAMPLE = Frame(0x080, b""), Frame(0x190, struct.pack("<hh", 300, 1400))
 FULL = OSError(28, "No space left on device")
 
 

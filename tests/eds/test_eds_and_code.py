@@ -18,7 +18,7 @@ from played import Still
 
 NODE_ID = 32
 SYNC, SAMPLE = Frame(0x080, b""), Frame(0x190, bytes(4))
-START, MASTER_LSS, SLAVE_LSS = Frame(0x000, b"\x01\x00"), 0x7E5, 0x7E4
+MASTER_LSS, SLAVE_LSS = 0x7E5, 0x7E4
 
 CONSTANTS = {
     0x1000: "device type", 0x1008: "name of the device", 0x1009: "version", 0x100A: "version",
