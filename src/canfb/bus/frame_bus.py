@@ -12,7 +12,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Iterable
-from typing import Protocol, Self
+from typing import Protocol
 from uuid import uuid4
 
 import can
@@ -45,8 +45,8 @@ def flagged_id(message: can.Message) -> int:
 Received = tuple[int, bytes, float]
 
 
-class FrameBus(Protocol):
-    """A bus as frames; a context manager. CanError or OSError."""
+class FrameBus(contextlib.AbstractContextManager["FrameBus"], Protocol):
+    """A bus as frames, open already; a context manager, which closes it. CanError or OSError."""
 
     def receive(self, wait_s: float) -> Received | None:
         """Wait so long; None: no frame."""
@@ -56,12 +56,6 @@ class FrameBus(Protocol):
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
         """The CAN-IDs that are needed, None for all."""
-
-    def __enter__(self) -> Self:
-        """The bus is open already."""
-
-    def __exit__(self, *raised: object) -> None:
-        """Close it."""
 
 
 AF_CAN = getattr(socket, "AF_CAN", None)  # on Linux only
@@ -154,7 +148,7 @@ _ECHOING = frozenset({"GsUsbBus", "CantactBus", "VirtualBus"})
 _IGNORED: Received = EXTENDED, b"", 0.0
 
 
-class PythonCanBus:
+class PythonCanBus(contextlib.AbstractContextManager["PythonCanBus"]):
     """A :class:`.FrameBus` on python-can, without its own frames."""
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -190,9 +184,6 @@ class PythonCanBus:
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
         """All frames: a filter differs from interface to interface."""
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *raised: object) -> None:
         self._bus.shutdown()

@@ -75,7 +75,7 @@ _ALL_ERRORS = 0x1FFF_FFFF
 _CAN_RAW_ERR_FILTER = 2  # python names it on Linux only
 
 
-class RawCanBus:
+class RawCanBus(contextlib.AbstractContextManager["RawCanBus"]):
     """A :class:`.FrameBus` on a SocketCAN interface; sending never waits.
 
     An interface that is down or gone is an error of each :meth:`receive`; the first frame after it is an
@@ -173,9 +173,6 @@ class RawCanBus:
             raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
         self._down = False
         return ERROR | ERROR_RESTARTED, b"", 0.0
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *raised: object) -> None:
         self._socket.close()

@@ -17,7 +17,6 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Self
 
 from canfb.bus.sdo_channel import lock_file
 from canfb.device.storage.kept import ParameterGroup
@@ -39,7 +38,7 @@ class StateDirError(CanfbError):
     """A state_dir that cannot be used."""
 
 
-class StateFiles:
+class StateFiles(contextlib.AbstractContextManager["StateFiles"]):
     """What 1010h and LSS save, as files in a ``folder``, made if it is missing.
 
     It belongs to one process until :meth:`close`. StateDirError if another has it or it cannot be written.
@@ -59,9 +58,6 @@ class StateFiles:
             in_use = error.errno in (errno.EWOULDBLOCK, errno.EACCES)
             why = "another process, or another module of this one, uses it" if in_use else error.strerror
             raise StateDirError(f"state_dir {self.folder} cannot be used: {why}") from None
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *raised: object) -> None:
         self.close()
