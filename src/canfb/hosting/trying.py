@@ -46,18 +46,13 @@ def private_bus() -> Iterator[dict[str, Any]]:
         group = f"239.255.{place // 254}.{place % 254 + 1}"  # the local scope of RFC 2365
         # A TCP port of the same number shows that the group is taken: any end of the process frees it.
         with socket.socket() as lock:
-            if _bound(lock, group_port(group)):
-                yield {"interface": MULTICAST, "channel": group, "hop_limit": 0}
-                return
+            try:
+                lock.bind((LOOPBACK, group_port(group)))
+            except OSError:
+                continue
+            yield {"interface": MULTICAST, "channel": group, "hop_limit": 0}
+            return
     raise BusError(f"{PRIVATE_GROUPS} private buses of this user are in use; end one of them")
-
-
-def _bound(lock: socket.socket, port: int | None) -> bool:
-    try:
-        lock.bind((LOOPBACK, port))
-    except OSError:
-        return False
-    return True
 
 
 class NetworkOnBus:
