@@ -146,12 +146,9 @@ class Motor:
 
     def _move(self, torque_nm: float, step_s: float) -> None:
         friction = self.config.coulomb_friction_nm + (self.config.brake_torque_nm if self.braked else 0.0)
-        if self.speed_rad_s == 0.0:
-            if abs(torque_nm) <= friction:
-                return
-            self._accelerate(torque_nm - math.copysign(friction, torque_nm), step_s)
+        if self.speed_rad_s == 0.0 and abs(torque_nm) <= friction:
             return
-        net = torque_nm - math.copysign(friction, self.speed_rad_s)
+        net = torque_nm - math.copysign(friction, self.speed_rad_s or torque_nm)
         stop_s = self._time_to_stop(net)
         if stop_s >= step_s:
             self._accelerate(net, step_s)
