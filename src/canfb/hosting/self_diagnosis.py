@@ -164,10 +164,8 @@ class SelfDiagnosis:
 
     def step(self, nodes: Sequence[NodeDevice]) -> None:
         """Go on, for half a millisecond at most."""
-        with contextlib.suppress(StopIteration):
-            next(self._working)
-            return
-        if self._requested:
+        ended = next(self._working, True)
+        if ended and self._requested:
             self._requested = False
             self._working = self._work(nodes)
 
