@@ -142,8 +142,7 @@ def _end(viewer: Events) -> None:
 
 
 class _Server(ThreadingTCPServer):  # that of http.server would look up a host name
-    daemon_threads = True
-    block_on_close = False
+    daemon_threads = True  # and so the end waits for none of them
 
     def __init__(self, address: tuple[str, int], page: PageServer) -> None:
         self.page = page
