@@ -10,9 +10,9 @@ import pytest
 import sample_eds
 
 from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.datatypes import DataType
 from canfb.device.od import eds
 from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.device.od.eds import ObjectKind
 
 
 @pytest.fixture
@@ -39,9 +39,8 @@ def abort_of(call: object, *arguments: object) -> AbortCode:
 
 
 def test_what_is_there_and_what_is_missing(dictionary: Dictionary) -> None:
-    kinds = {info.index: info.kind for info in dictionary.objects()}
-    wanted = {0x1000: ObjectKind.VAR, 0x1018: ObjectKind.RECORD, 0x2020: ObjectKind.DOMAIN}
-    assert wanted.items() <= kinds.items()
+    assert {0x1000, 0x1018, 0x2020} <= set(dictionary.indices(range(0x1000, 0x3000)))
+    assert dictionary.entry(0x2020).data_type == DataType.DOMAIN
     assert dictionary.dummies == set(range(1, 8))
     assert (5, 0) not in dictionary
     with pytest.raises(KeyError, match="2FFFh:03 is not in"):
@@ -91,9 +90,8 @@ def test_compact_arrays_are_expanded(tmp_path: Path) -> None:
     assert dictionary.entry(0x2100, 2).name == "Second"
     assert dictionary.entry(0x2100, 12).pdo_mappable
     assert abort_of(dictionary.lookup, 0x2100, 13) is AbortCode.NO_SUBINDEX
-    (info,) = dictionary.objects()
-    assert info.kind is ObjectKind.ARRAY
-    assert info.subindices == tuple(range(13))
+    assert dictionary.indices(range(0x10000)) == [0x2100]
+    assert [entry.subindex for entry in dictionary] == [*range(13)]
 
 
 @pytest.mark.parametrize(
@@ -261,7 +259,9 @@ def test_an_odd_file_means_the_same(path: Path, odd: str, tmp_path: Path) -> Non
     own_eds = (0x1021, 0)
     for one, other in zip(read, usual, strict=True):
         assert (one.index, one.subindex) == own_eds or facts(one) == facts(other)
-    assert (list(read.objects()), read.dummies) == (list(usual.objects()), usual.dummies)
+    found, wanted = (eds.content_described(data) for data in (content, path.read_bytes()))
+    assert [one.parent for one in found.entries] == [one.parent for one in wanted.entries]
+    assert (found.objects, found.dummies) == (wanted.objects, wanted.dummies)
 
 
 def test_numbers_as_tools_write_them() -> None:

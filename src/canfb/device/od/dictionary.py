@@ -10,7 +10,7 @@ from typing import Any
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od import eds
-from canfb.device.od.eds import ACCESS, Description, ObjectInfo
+from canfb.device.od.eds import ACCESS, Description
 from canfb.errors import saying
 
 READABLE = frozenset({"ro", "rw", "rwr", "rww", "const"})
@@ -198,14 +198,14 @@ class Dictionary:
     def __init__(
         self,
         entries: Iterable[Entry],
-        objects: Iterable[ObjectInfo],
+        objects: Iterable[int],
         dummies: Iterable[int] = (),
     ) -> None:
         self._entries = {
             (entry.index, entry.subindex): entry
             for entry in sorted(entries, key=lambda entry: (entry.index, entry.subindex))
         }
-        self._objects = {info.index: info for info in objects}
+        self._objects = frozenset(objects)
         self.dummies = frozenset(dummies)
 
     @classmethod
@@ -260,9 +260,6 @@ class Dictionary:
 
     def __iter__(self) -> Iterator[Entry]:
         return iter(self._entries.values())
-
-    def objects(self) -> Iterator[ObjectInfo]:
-        return iter(self._objects.values())
 
     def indices(self, area: range) -> Sequence[int]:
         return sorted(index for index in self._objects if index in area)

@@ -37,16 +37,6 @@ class ObjectKind(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class ObjectInfo:
-    """What an index holds: its name, its kind and its sub-indices in ascending order."""
-
-    index: int
-    name: str
-    kind: ObjectKind
-    subindices: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Description:
     """One entry as the file describes it; `default`, `low` and `high` are texts until a node-ID is known.
 
@@ -91,7 +81,7 @@ class Described:
     product_name: str
     vendor: int | None
     product: int | None
-    objects: tuple[ObjectInfo, ...]
+    objects: tuple[int, ...]  # Indices in ascending order; one may be without entries.
     entries: tuple[Description, ...]
     dummies: frozenset[int]  # Data types that may fill gaps of an RPDO (section DummyUsage).
 
@@ -209,9 +199,9 @@ def content_described(content: bytes) -> Described:
         if kind is ObjectKind.NULL:
             continue
         has_subs = index in subindices or kind in (ObjectKind.ARRAY, ObjectKind.RECORD, ObjectKind.DEFSTRUCT)
-        subs = tuple(sorted(subindices.get(index, ()))) if has_subs else (0,)
+        subs = sorted(subindices.get(index, ())) if has_subs else [0]
         name = contents.get(head, {}).get("ParameterName", head).strip()
-        objects.append(ObjectInfo(index, name, kind, subs))
+        objects.append(index)
         for sub in subs:
             section = places[index, sub]
             unit = units.get(section, "")
