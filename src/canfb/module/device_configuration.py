@@ -237,14 +237,13 @@ def restored_configuration(
     What the backup does not have stays as `before`.
     """
     merged = dict(before) | moved_values(values, made_for, node_id)
-    serial = 0  # not written by SDO
-    return configuration_read(node_id, lambda entry: merged[entry.index, entry.subindex], serial, table)
+    return configuration_read(
+        node_id, lambda entry: merged[entry.index, entry.subindex], serial_number=0, table=table
+    )  # without its serial number, which SDO does not write
 
 
 def moved_values(values: Mapping[Place, Any], old: int, new: int) -> dict[Place, Any]:
     """CAN-IDs that are the default of node `old` become those of `new`."""
-    if old == new:
-        return dict(values)
     dictionary = Dictionary.load(eds_path(EDS), old)
     moved = dict(values)
     for place, value in values.items():
