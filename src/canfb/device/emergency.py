@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections import deque
 from collections.abc import Hashable
-from functools import partial
 
 from canfb.cia301 import cob
 from canfb.cia301.codes import EMERGENCY, AbortCode, EmergencyCode, ErrorRegister, SdoAbort
@@ -35,7 +36,7 @@ class Emergency(Timed):
         self._cob_id.on_written = core.reactions.routes_changed
         self._history_count.on_check = refuse_if(bool)  # 0 clears the history
         for entry in self._history:
-            entry.on_read = partial(self._remembered, entry)
+            entry.on_read = functools.partial(self._remembered, entry)
 
     @property
     def can_id(self) -> int | None:
@@ -70,7 +71,7 @@ class Emergency(Timed):
         """
         key = (int(code), source)
         if again or key not in self._active:
-            self._active[key] = int(register_bits)
+            self._active[key] = int(register_bits | ErrorRegister.GENERIC)
             self._set_register()
             self._remember(int(code), manufacturer)
             self._send(int(code), manufacturer, now)
@@ -107,10 +108,7 @@ class Emergency(Timed):
         self.tick(now)
 
     def _set_register(self) -> None:
-        bits = 0
-        for own in self._active.values():
-            bits |= own | ErrorRegister.GENERIC
-        self._register.value = int(bits)
+        self._register.value = functools.reduce(operator.or_, self._active.values(), 0)
 
     def _remember(self, code: int, manufacturer: bytes) -> None:
         newest = code | int.from_bytes(manufacturer[:2], "little") << 16
