@@ -107,18 +107,15 @@ class StateFiles(contextlib.AbstractContextManager["StateFiles"]):
         return {} if data is None else _unpack(data)
 
     def _finish(self, changes: Changes) -> None:
-        if changes:
-            self._copy(changes)
-            self._remove(PENDING)
-            _sync_folder(self.folder)
-
-    def _copy(self, changes: Changes) -> None:
         for group, image in changes.items():
             if image is None:
                 self._remove(_file_name(group))
             else:
                 self._write(_file_name(group), image)
-        _sync_folder(self.folder)
+        if changes:
+            _sync_folder(self.folder)
+            self._remove(PENDING)
+            _sync_folder(self.folder)
 
     def _read(self, name: str) -> bytes | None:
         try:
