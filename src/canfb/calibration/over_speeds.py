@@ -48,9 +48,6 @@ from canfb.signal.front_end import Corners
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import TICK_S
 
-# What of a change within one speed does not count: no more than two measurements differ by anyway.
-STEADY_RAD = ANGLE_REPEATS_RAD  # of the angle between the tracks, rms
-STEADY_PART = RATIO_REPEATS  # of the amplitudes
 SMOOTH_SAMPLES = 33  # a speed between two samples is mostly noise
 MOST_VARIATION = 0.3  # of a speed, from its lowest to its highest: more is no one speed
 
@@ -209,9 +206,10 @@ class _AtSpeed:
     def _varies(self, path: PathFit) -> bool:
         speed = self.speed[self.record.valid]
         gains = [np.abs(response(speed, hz)) for hz in (path.corners.corner_hz, path.corners.of_cosine_hz)]
+        # A change within one speed counts where it is more than two measurements differ by anyway.
         return bool(
-            np.std(path.turned_rad(speed)) > STEADY_RAD
-            or max(np.std(gain) / np.mean(gain) for gain in gains) > STEADY_PART
+            np.std(path.turned_rad(speed)) > ANGLE_REPEATS_RAD
+            or max(np.std(gain) / np.mean(gain) for gain in gains) > RATIO_REPEATS
         )
 
     def steadied(self, path: PathFit, adc_bits: int | None, entries: int) -> _AtSpeed:
