@@ -59,7 +59,6 @@ from canfb.signal.supervision import SampleLimits
 
 Made = TypeVar("Made")
 Installed = tuple[Measurement, Installation]
-Put = Callable[[Measurement], Installed]
 
 
 class Steps(Protocol):
@@ -273,7 +272,7 @@ class CalibrationRun:
             )
         )
 
-    def _report(self, measured: Measurement, put: Put | None = None) -> Result:
+    def _report(self, measured: Measurement, put: Callable[[Measurement], Installed] | None = None) -> Result:
         """The drift, or the table: ``put`` in force first, unless it is a dry run."""
         out = self._choices.out
         if self._choices.check:
