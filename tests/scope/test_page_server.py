@@ -239,7 +239,7 @@ def test_the_deviation_is_that_of_the_encoder_and_nearly_gone_with_its_table() -
     assert before["text"].startswith("no table is active: ")
     _, sine, cosine = np.array(traces._samples).T
     found = canfb.calibrate_from_motion(sine, cosine)
-    traces.know(Correction(found.table, found.conditioning))
+    traces.read = Correction(found.table, found.conditioning)
     traces.take(now, replace(traced.network.module(), table_active=True, table_crc32=found.table.crc32))
     after = traces.deviation(now)
     assert after is not None, "at once"
@@ -266,7 +266,7 @@ def test_the_table_has_one_state() -> None:
     ):
         traces = ModuleTraces(UNITS)
         if was_read is not None:
-            traces.know(was_read)
+            traces.read = was_read
         traces.take(1.0, looks_like)
         assert traces.correction == known
 

@@ -47,8 +47,8 @@ class ModuleTraces:
     def __init__(self, units: MachineUnits) -> None:
         self.points: deque[Point] = deque(maxlen=MOST_POINTS)
         self.correction: Correction | None = None  # The active one; None while it is not known.
+        self.read: Correction | None = None  # The one that was read last.
         self._units = units
-        self._read: Correction | None = None
         self._module: ModuleSnapshot | None = None
         self._samples: deque[tuple[int, int, int]] = deque(maxlen=SAMPLES)
         self._received = self._place = self._faults = 0
@@ -65,12 +65,9 @@ class ModuleTraces:
         self._judge(module)
         self._follow(module)
 
-    def know(self, correction: Correction) -> None:
-        self._read = correction
-
     def _judge(self, module: ModuleSnapshot) -> None:
         """It counts while 2020:04 and status bit 7 agree."""
-        read, before = self._read, self.correction
+        read, before = self.read, self.correction
         active = None if module.status is None else module.table_active
         if read and read.crc32 == module.table_crc32 and active in (None, bool(read.crc32)):
             self.correction = read
