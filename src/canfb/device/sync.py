@@ -26,7 +26,6 @@ class Pdos:
     """The RPDOs and TPDOs, by their numbers."""
 
     def __init__(self, core: Core) -> None:
-        self._core = core
         self.rpdos = {number: Rpdo(core, number) for number in numbers(core.dictionary, Direction.RECEIVE)}
         self.tpdos = {number: Tpdo(core, number) for number in numbers(core.dictionary, Direction.TRANSMIT)}
         self.operational = False
