@@ -16,7 +16,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.sample import Feedback
-from canfb.simulation.encoder import Encoder, MotionSource, ShaftEncoder
+from canfb.simulation.encoder import Encoder, Motion, MotionSource, ShaftEncoder
 from folding import each
 from servo_kit import IDEAL_TABLE, s_curve
 
@@ -48,15 +48,15 @@ class Bus:
             times=bool(values["times"]),
             samples_per_sync=int(values["samples_per_sync"]),
         )
-        self._rng, self._jitter_s, self._syncs = np.random.default_rng(seed), jitter_s, 0
+        self._rng, self._jitter_s, self._syncs = np.random.default_rng(seed), jitter_s, 0.0
         self.deliver: Callable[[Frame], bool] = lambda frame: True
         self.interface.start(0.0)
         self.module.start(0.0)
         self.module.use_correction(Correction(IDEAL_TABLE, IDENTITY))
 
-    def sync(self) -> Feedback | None:
+    def sync(self, rate: float = 1.0) -> Feedback | None:
         now = START_S + self._syncs * PERIOD_S + self._rng.uniform(-self._jitter_s, self._jitter_s)
-        self._syncs += 1
+        self._syncs += rate
         pdos = self.interface.receive(Frame(0x80, SYNC, timestamp=now), now)
         self.module.tick(now)
         self.module.receive(Frame(0x80, SYNC, timestamp=now), now)
@@ -154,3 +154,14 @@ def test_without_times_and_with_jitter_it_is_never_wrong() -> None:
             continue
         first = away(bus, got) if first is None else first
         assert not got.valid or abs(away(bus, got) - first) < 0.4
+
+
+@each("per_sync, rate", [(2, 0.5), *((n, rate) for n in (2, 3) for rate in (0.9, 1.02, 1.1, 2.0))])
+@each("times", [False, True])
+def test_at_rest_sync_may_come_at_another_rate(per_sync: int, times: bool, rate: float) -> None:
+    bus = Bus(samples_per_sync=per_sync, times=times)
+    bus.source.motion = Motion(())
+    for n in range(400):
+        got = bus.sync(1.0 if n < 200 else rate)
+    assert got is not None
+    assert got.valid

@@ -286,8 +286,9 @@ class SignalChain:
             return self._restarted(sample, least=float("inf"))
         next_one = elapsed + times.waited < HOLE_INTERVALS
         # Of several samples the earlier ones lie in one interval of SYNC, that of the times or another.
-        placed = self._per_sync == 1 or abs(passed - counted) < HOLE_INTERVALS - 1.0
-        if self.measures_intervals or (not placed and self.slips(abs(passed - counted))):
+        off = abs(passed - counted)
+        placed = self._per_sync == 1 or off < HOLE_INTERVALS - 1.0 or not self.slips(off)
+        if self.measures_intervals or not placed:
             elapsed = passed - times.waited  # what was waited for is counted already
         times.waited = self._left_out = self._unused = 0.0
         return self.after(sample, elapsed, placed=placed, next_one=next_one)

@@ -199,7 +199,8 @@ class SampleTimes:
             return self._refused(
                 time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
             )
-        grid.take(self._at + ticks)
+        # Of a SYNC at another rate, which counts other intervals, the samples are another line.
+        grid.take(self._at + ticks, in_turn=heard_apart_s is None or places == round(counted))
         self._take(
             time_100ns,
             ticks,

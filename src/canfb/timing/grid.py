@@ -147,7 +147,7 @@ class Grid:
         self.due += (places - 1) * before + phase + period
         self.deviation += (abs(off) - self.deviation) * self._shown
 
-    def take(self, instant: float) -> None:
+    def take(self, instant: float, in_turn: bool = True) -> None:
         """An instant that is right, however far it is off the line: that goes on, or begins again there."""
         if math.isnan(self.due):
             self.begin(instant)
@@ -155,7 +155,7 @@ class Grid:
             self.learn(instant)
         else:
             places, off = self.nearest(instant)
-            if places > 0 and abs(off) <= self.allowed:
+            if in_turn and places > 0 and abs(off) <= self.allowed:
                 self.is_in_turn(instant)
                 self.follow(places, off)
             elif self.refuse(instant):
