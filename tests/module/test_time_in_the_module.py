@@ -459,6 +459,7 @@ def test_a_machine_that_moves_when_sync_changes_its_rate(
 
 
 @given(st.floats(0.03, 0.3), st.integers(1, 40), st.floats(0.0, 1.0), st.booleans(), st.booleans())
+@example(0.03, 1, 0.9375, False, False)  # four samples within the 0.05 cycle of the phase before the pause
 def test_a_machine_that_begins_to_move_in_a_pause_is_lost(
     speed: float, cycles: int, more: float, stamped: bool, times: bool
 ) -> None:

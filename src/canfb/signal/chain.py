@@ -48,7 +48,7 @@ class SignalChain:
         # Sample times say how long an interval was; False: they only tell new samples from doubled ones.
         self.measures_intervals = True
         self._pauses = Pauses(self.stages)
-        self.times = SampleTimes()
+        self.times = SampleTimes(self.stages.rests)
         self.sample_grid = self.times.grid  # The clock of the encoder interface, by the sample times so far.
         self._per_sync = 1
         self._left_out = 0.0  # since then, of samples that were crowded

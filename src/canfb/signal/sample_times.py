@@ -13,6 +13,7 @@ The line through the times that were right (:mod:`canfb.timing.grid`) is the one
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf
 
 from canfb.signal.bounded_motion import HOLE_INTERVALS
@@ -49,6 +50,7 @@ class SampleTimes:
         "_pace_s",
         "_received_s",
         "_refused_counted",
+        "_rests",
         "_synced_s",
         "count_is_open",
         "grid",
@@ -58,7 +60,8 @@ class SampleTimes:
         "waited",
     )
 
-    def __init__(self) -> None:
+    def __init__(self, rests: Callable[[], bool] = lambda: False) -> None:
+        self._rests = rests  # The machine stands still, for certain.
         self.sync_interval_s = 0.0
         self.grid = Grid()  # The times that were right, ticks since the first one.
         self.count_is_open = False  # SYNC at another rate? With receive times its count says nothing.
@@ -199,8 +202,10 @@ class SampleTimes:
             return self._refused(
                 time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
             )
-        # Of a SYNC at another rate, which counts other intervals, the samples are another line.
-        grid.take(self._at + ticks, in_turn=heard_apart_s is None or places == round(counted))
+        # SYNC at another rate counts other intervals: the samples are another line, but not while the machine
+        # moves, since what is declared for the interval would not hold for a longer one.
+        is_same = heard_apart_s is None or places == round(counted) or not self._rests()
+        grid.take(self._at + ticks, in_turn=is_same)
         self._take(
             time_100ns,
             ticks,

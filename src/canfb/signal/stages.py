@@ -146,11 +146,14 @@ class Stages:
     def rescale(self, factor: float) -> None:
         """Intervals are counted in a unit that is shorter by ``factor``."""
         estimator = self.estimator
-        if factor >= LONG_INTERVAL and self.was_valid and speeds.stood_still(estimator.places, 2):
+        if factor >= LONG_INTERVAL and self.rests():
             estimator.resume()  # what was long ago says less than that the machine stands
         else:
             estimator.rescale(factor)
         self._speed /= factor
+
+    def rests(self) -> bool:
+        return bool(self.was_valid) and speeds.stood_still(self.estimator.places, 2)
 
     def sample_faster(self, factor: float) -> None:
         self.rescale(factor)
@@ -288,6 +291,7 @@ class Stages:
         if measured and self._way is not None:
             due, most, samples = self._way
             away = abs(speeds.apart(phase, due)) > most  # It has neither stopped nor gone on.
+            due = phase if samples == CONFIRMING_SAMPLES else due  # one that stands stays at the first
             self._way = None if away or samples == 1 else (due, most, samples - 1)
             if away:
                 self.lose_after_pause(starts=False)
