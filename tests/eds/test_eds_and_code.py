@@ -11,7 +11,10 @@ from eds_text import DRIVE, INTERFACE, MODULE, EdsText, eds_of
 
 from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.od.dictionary import Dictionary, Entry
+from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
+from canfb.module.parameters import SAME_UNIT
+from canfb.sdo.object_description import ObjectDescriptions
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant
 from played import Still
@@ -156,3 +159,9 @@ def test_device_info_says_what_a_master_may_expect(name: str, eds: EdsText) -> N
     ask(MASTER_LSS, b"\x04\x01")
     supported = [frame.can_id for frame in ask(MASTER_LSS, b"\x5e")] == [SLAVE_LSS]
     assert eds.number("DeviceInfo", "LSS_Supported") == supported
+
+
+def test_a_time_of_the_configuration_has_its_unit_in_the_eds() -> None:
+    described = ObjectDescriptions(eds_path("canfb-module"), NODE_ID)
+    times = {name: described.entry(*place).unit for name, place in SAME_UNIT.items() if name.endswith("_s")}
+    assert times == dict.fromkeys(("sync_jitter_s", "answer_delay_s"), "s")
