@@ -65,6 +65,14 @@ def test_json(log: Path, command: Command) -> None:
     assert [name for name, one in module["margins"].items() if one["margin"] < 0.0] == ["amplitude_high"]
 
 
+def test_a_sample_without_any_amplitude_has_no_margin(tmp_path: Path, command: Command) -> None:
+    plan = session(SAMPLES)
+    plan[400] = (plan[400][0], adc(0.1, 0.0))
+    log = write_log(tmp_path / "bus.log", live(plan)[0])
+    (line,) = (one for one in command("log replay", log).lines if one.startswith("lowest amplitude"))
+    assert re.fullmatch(r"lowest amplitude +0 of 410 counts at \d\.\d{3} s", line)
+
+
 def test_files_have_all_samples(log: Path, tmp_path: Path, command: Command) -> None:
     pytest.importorskip("pyarrow")
     parquet = importlib.import_module("pyarrow.parquet")

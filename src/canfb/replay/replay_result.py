@@ -168,10 +168,9 @@ class ReplayResult:
         if math.isnan(found.value):
             return None
         value = f"{found.value * factor:{form}}"
-        when = f"at {found.time_s - self.replay.first_s:.3f} s"
-        if not math.isfinite(found.limit):
-            return f"{value} {unit} {when}"
-        return f"{value} of {found.limit * factor:{form}} {unit} {when}; margin {100.0 * found.margin:.0f} %"
+        limit = f" of {found.limit * factor:{form}}" if math.isfinite(found.limit) else ""
+        left = f"; margin {100.0 * found.margin:.0f} %" if limit and math.isfinite(found.margin) else ""
+        return f"{value}{limit} {unit} at {found.time_s - self.replay.first_s:.3f} s{left}"
 
     def comparison(self) -> list[Row]:
         rows: list[Row] = []
