@@ -126,8 +126,10 @@ def test_the_default_bus_is_remembered_and_said(
     monkeypatch.setenv("CAN_CHANNEL", "other")
     assert sent("node start all") == [], "and so does the environment"
     monkeypatch.delenv("CAN_CHANNEL")
+    log = yaml_file(tmp_path, "(1.0) can0 080#\n", "bus.log")
     for text in ("[1]", "{"):
         (tmp_path / "user/canfb/bus.json").write_text(text)
+        assert command("monitor --log", log).err == "", "a log needs no bus"
         command("node start all", code=2)
     command("use --forget")
     command("use -c can0", code=2)

@@ -22,6 +22,7 @@ from canfb.cli.options import (
     add_command,
     bus_options,
     checked,
+    given_bus,
     group,
     named_config,
     nodes,
@@ -104,7 +105,7 @@ def monitor(options: argparse.Namespace) -> int:
 
         return show_frames(options)
     config = named_config(options)
-    words = bus_options(options, config.bus)
+    words = config.bus | given_bus(options) if options.log else bus_options(options, config.bus)
     layouts = known_layouts(config, options.nodes)
     if options.sdo and not layouts:
         raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
