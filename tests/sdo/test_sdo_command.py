@@ -205,6 +205,7 @@ FULL = "canfb: /dev/full: cannot be written: No space left on device\n"
         ("table show 0x10", "module 16 (10h) has no correction table (2020h)"),
         ("backup save 99 backup.yaml", "module 99 (63h): reading 1000:00: no answer"),
         ("backup save 0x10 backup.yaml", "module 16 (10h) is not a feedback module of canfb"),
+        ("why 0x10", "canfb: not a feedback module, give the NODE of one: module 16 (10h): reading 2011:08"),
         ("sdo read 0x20 2020:01 --out /dev/full", FULL),
         ("table read 0x20 /dev/full", FULL),
         ("backup save 0x20 /dev/full", FULL),

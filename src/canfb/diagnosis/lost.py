@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from canfb import objects as od
-from canfb.master.access import NodeAccess
+from canfb.errors import saying
+from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
 from canfb.objects import LossCause, StatusBit, fault_words, position_state
 from canfb.rows import Result, Row, age_words, as_figures, as_lines, those
 from canfb.signal.limits import MOST_IN_A_ROW, cycles_per_interval_squared, kept_samples, max_acceleration
@@ -316,7 +317,8 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
     """By SDO, in two seconds. CommissioningError."""
     master = module.master
     missed = int(module.read_known(od.COUNTER_MISSED) or 0)
-    began, first = master.now(), module.integer(*od.FEEDBACK_SAMPLES, "I")
+    with saying(CommissioningError, "not a feedback module, give the NODE of one", ObjectAbsentError):
+        began, first = master.now(), module.integer(*od.FEEDBACK_SAMPLES, "I")
     mapped = mapped_objects(module.read_known)
     tolerance = module.read_known(od.SECOND_TOLERANCE) or 0.0
     master.wait(max(0.0, began + RATE_S - master.now()))
