@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,12 @@ def test_in_slow_motion_the_samples_are_equidistant_however_late_the_sync_is(
     phases = np.arctan2(tracks["sine"], tracks["cosine"]) / (2.0 * np.pi)
     assert len(phases) >= 100
     assert np.abs(np.diff(phases) % 1.0 - 0.55).max() < 2e-3
+
+
+def test_the_jitter_of_the_page_on_time_can_be() -> None:
+    (line,) = re.findall(r"`canfb (simulate \S+ --rate .*)`", page("time"))
+    simulation, _, _ = chosen(build_parser().parse_args(line.split()), parse_config(CONFIG))
+    assert simulation.sync_jitter_us == pytest.approx(1000.0)
 
 
 def test_a_sync_that_jitters_on_purpose(config: str) -> None:
