@@ -115,6 +115,7 @@ def test_the_default_bus_is_remembered_and_said(
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "user"))
     assert command("use").lines == ["no default bus"]
+    assert "4. `canfb use`;" in PAGE
     said = command("use -i virtual -c", CHANNEL)
     assert said.lines == [f"default bus: virtual {CHANNEL} ({tmp_path}/user/canfb/bus.json)"]
     assert sent("node start all") == ALL
