@@ -191,6 +191,8 @@ def test_a_configuration_and_options_before_it(tmp_path: Path, command: Command)
     line = "plan --rate 1000 -b 1000000 --acceleration 3 --rpm 5 --extra 0 --jitter 0 --cycles 1000 --json"
     other = command(line, yaml_file(tmp_path, text)).json
     assert other["bus"]["sync_hz"] == 1000.0
+    part = command("plan --jitter 10%", yaml_file(tmp_path, text), code=1).out
+    assert "SYNC ±335 µs: producer 200, " in part, "10 % of sync_period_us"
     assert other["modules"][0]["cycles_per_revolution"] == 1000
     assert other["modules"][0]["acceleration"]["stated_rad_s2"] == 3.0
     poor = yaml_file(tmp_path, "modules: [{node_id: 32, phase_error_cycles: 0.05}]\n")

@@ -360,9 +360,7 @@ def jitter(text: str) -> Jitter:
 
 
 def jitter_s(options: argparse.Namespace, rate_hz: float | None) -> float:
-    """``--jitter`` in seconds. ConfigError for a part of a period not known."""
-    if options.jitter.is_part and rate_hz is None:
-        raise ConfigError("--jitter: a part of which period? give --rate, or a time")
+    """``--jitter`` in seconds; a part is one of the period of ``rate_hz``."""
     return float(options.jitter.value / (rate_hz or 1.0) if options.jitter.is_part else options.jitter.value)
 
 

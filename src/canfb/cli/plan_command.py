@@ -13,6 +13,7 @@ from canfb.hosting.hosting import saved_configuration
 from canfb.planning.hints import changes_of
 from canfb.planning.plan_input import PlanOptions, modules_alike, numbered, plan_of
 from canfb.planning.plan_rows import plan_figures, plan_lines
+from canfb.simulation.set_up import sync_rate
 
 # Option, field of PlanOptions, word for its value, help.
 NUMBERS = (
@@ -89,7 +90,8 @@ def plan(options: argparse.Namespace) -> int:
             if options.config is None
             else numbered(load_config(options.config))
         )
-        options.jitter_us = options.jitter and jitter_s(options, options.rate_hz) * 1e6
+        rate_hz = sync_rate(config.simulation, options.rate_hz)
+        options.jitter_us = options.jitter and jitter_s(options, rate_hz) * 1e6
         overrides = PlanOptions(**{field.name: getattr(options, field.name) for field in fields(PlanOptions)})
         found = plan_of(config, [saved_configuration(one) for one in config.modules], overrides)
     except ValueError as error:
