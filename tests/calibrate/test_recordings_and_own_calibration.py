@@ -61,6 +61,13 @@ def test_a_recording_ends_when_the_memory_is_full() -> None:
     assert bench.bus.now < 5.0
 
 
+def test_a_recording_takes_longer_for_enough_samples() -> None:
+    bench, parts = Bench(), list[float]()
+    assert 800 <= len(record(bench.access, 0.2, None, parts.append, 800)) < 1050
+    assert parts == sorted(parts)
+    assert len(record(bench.access, 0.1, None, parts.append, 10**6)) < 800, "no longer than six times"
+
+
 def test_a_recording_is_stopped_when_it_is_interrupted() -> None:
     bench = Bench()
 

@@ -333,8 +333,10 @@ EMPTY_S = 2.0  # none at all for this long: nothing samples
 UPLOAD_PART = 0.5  # of the progress reported
 
 
-def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress: Progress) -> TrackSamples:
-    """Let ``node`` record for ``duration_s``, and upload it; ``progress`` gets 0..1.
+def record(
+    node: NodeAccess, duration_s: float, rate_hz: float | None, progress: Progress, least_samples: int = 0
+) -> TrackSamples:
+    """Let ``node`` record as :func:`listen` does, and upload it; ``progress`` gets 0..1.
 
     ``rate_hz`` counts where 2050:04 is 0. CommissioningError if it cannot, or recorded nothing.
     """
@@ -343,7 +345,7 @@ def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress:
     except ObjectAbsentError:
         raise CommissioningError(f"{node.name} cannot record: it has no object 2050h") from None
     try:
-        _wait(node, duration_s, progress)
+        _wait(node, duration_s, least_samples, progress)
     finally:
         node.write(*od.RECORDING_COMMAND, "B", od.RecordingCommand.STOP)
     count = node.integer(*od.RECORDING_RECORDED, "I")
@@ -357,12 +359,13 @@ def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress:
     return TrackSamples(*tracks, known_hz or rate_hz, f"recording 2050h of {node.name}")
 
 
-def _wait(node: NodeAccess, duration_s: float, progress: Progress) -> None:
-    master = node.master
+def _wait(node: NodeAccess, duration_s: float, least_samples: int, progress: Progress) -> None:
+    master, end_s = node.master, duration_s
     began, recorded = master.now(), Unchanged(master, 0)
-    while (passed := master.now() - began) < duration_s:
-        progress(UPLOAD_PART * passed / duration_s)
-        master.wait(min(RECORDING_LOOK_S, duration_s - passed))
+    while (passed := master.now() - began) < end_s:
+        progress(UPLOAD_PART * passed / end_s)
+        master.wait(min(RECORDING_LOOK_S, end_s - passed))
         count = node.integer(*od.RECORDING_RECORDED, "I")
         if recorded.seconds(count) > (STANDING_S if count else EMPTY_S):
             return  # the memory is full, or nothing samples
+        end_s = duration_s * (1.0 if count >= least_samples else LONGEST)

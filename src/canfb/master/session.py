@@ -196,7 +196,7 @@ class Session:
         if kind == "recording":
             self.check_interface()
             node = self.module if recorder == "module" else self.interface
-            return lambda seconds, least, progress: record(node, seconds, rate_hz, progress)
+            return lambda seconds, least, progress: record(node, seconds, rate_hz, progress, least)
         layout = self.layout()
         return lambda seconds, least, progress: listen(self.master, layout, seconds, least, progress, enough)
 
