@@ -98,7 +98,10 @@ WRONG_USE = {
     "calibrate --entries 15": "--entries 15: must be 16 to 4096",
     "calibrate 0x10 --encoder-interface 16": "--encoder-interface 16: must differ from the node-ID",
     "calibrate --table x.yaml": "--table: only with --samples; over the bus the table is read",
-    "calibrate --source module --method zero-crossings": "--source module: the module supports --method",
+    **{
+        f"calibrate --source module --{more}": "--source module: it supports --method motion, --cond"
+        for more in ("method zero-crossings", "conditioning none", "entries 256")
+    },
     "calibrate --samples x.csv --columns a,a": "--columns a,a: two columns are required: sine,cosine",
     "calibrate --samples x.csv --columns a": "--columns a: two columns are required: sine,cosine",
     "calibrate --samples x.npz -c can0": "--channel: not with --samples",

@@ -20,6 +20,7 @@ MOST_RPM = 1e6
 RECORDED = "recorded"  # speeds: those that the files of samples have
 LEAST_SAMPLES, LEAST_FRESH = 8000, 1500
 SECONDS_AT_SPEED = 10.0
+OF_THE_MODULE = MOTION, "fit", 1024  # how it measures by itself
 NEAREST = 1.05  # times: between speeds, so that the machine turns at one of them
 OF_CSV = ("columns", "mid_scale", "scale", "time_column")
 WITHOUT_BUS = "not with --samples, which needs no bus and writes to no module"
@@ -157,8 +158,10 @@ class CalibrateOptions:
         _ = self._layout, self.speeds_rpm, self.delay_to_set
         if self.recorder != INTERFACE and self.samples_from != RECORDING:
             raise ConfigError("--recorder: only with --source recording")
-        if self.samples_from == MODULE and self.method != MOTION:
-            raise ConfigError("--source module: the module supports --method motion only")
+        if self.samples_from == MODULE and (self.method, self.conditioning, self.entries) != OF_THE_MODULE:
+            raise ConfigError(
+                "--source module: it supports --method motion, --conditioning fit, --entries 1024 only"
+            )
 
     def settings(self, limits: SampleLimits | None) -> Settings:
         """How to calibrate; the converter's bits from the module, unless given."""
