@@ -247,6 +247,7 @@ class Pairing(ProcessData):
             self.begin()  # nothing is counted yet: the next SYNC is the first
         if not syncs.overdue(now):
             return False
+        syncs.was_overdue = self.timed
         if self._ambiguous and not self.timed:
             self._lose_count(1.0, now)  # which of them the last sample answers stays open
         if self._elapsed:

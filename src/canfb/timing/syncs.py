@@ -68,7 +68,6 @@ class Syncs:
         "_periods",
         "_received_s",
         "_valid_s",
-        "_was_overdue",
         "begun",
         "expected_s",
         "extra_after",
@@ -81,6 +80,7 @@ class Syncs:
         "stamped",
         "synced_s",
         "until",
+        "was_overdue",
     )
 
     def __init__(self) -> None:
@@ -120,7 +120,8 @@ class Syncs:
         self._valid_s = inf  # from a SYNC to `until`
         self._low_s, self._high_s = inf, -inf  # off the place, of a SYNC that needs no judgement
         self._assumed = False  # the last place was never received: its PDO came
-        self._was_overdue = False  # nor did that come
+        # Nor did that come: the next SYNC may be of another rate. Set where sample times tell intervals.
+        self.was_overdue = False
 
     def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
         grid = self.grid
@@ -207,7 +208,7 @@ class Syncs:
 
     def _taken(self, stamped: bool, lost: int, off: float = 0.0, doubt: float = 0.0) -> Judged:
         self.stamped, self.begun, self.extra_came = stamped, True, False
-        self._assumed = self._was_overdue = False
+        self._assumed = self.was_overdue = False
         self.place += lost
         return SyncVerdict(lost, off=off, doubt=doubt) if lost or off or doubt else ON_TIME, 0, 0.0
 
@@ -225,7 +226,7 @@ class Syncs:
         places = min(places, MOST_INTERVALS)
         contradicts = missing is not None and (places - 1 - missing) % self.overflow != 0
         on = abs(off_s) <= grid.allowed
-        in_turn = on and not (contradicts or self.extra_came or self._was_overdue)
+        in_turn = on and not (contradicts or self.extra_came or self.was_overdue)
         if in_turn and (places == 1 or (places > 1 and missing is not None)):
             grid.is_in_turn(time_s)
         elif grid.refuse(time_s):
@@ -282,7 +283,7 @@ class Syncs:
         else:  # the line is good for as many places ahead as it was learned from
             ahead = late_s / (TOGETHER * grid.seen * grid.period)
             doubt = ahead if missing is None and ahead > 1.0 else 0.0
-        in_time = not (early or late or self.extra_came or self._was_overdue)
+        in_time = not (early or late or self.extra_came or self.was_overdue)
         if in_time and not doubt:
             grid.is_in_turn(time_s, may_be_late=True)
         elif grid.refuse_call(time_s, early, self.expected_s()):
@@ -333,6 +334,5 @@ class Syncs:
             self.until = inf
             return False
         self.advance(max(1, min(int((now - self.synced_s) / period_s + 1e-6) - 1, MOST_INTERVALS)))
-        self._was_overdue = True
         self.until = max(self.synced_s + 2.0 * period_s, now + period_s)
         return True
