@@ -229,6 +229,16 @@ def test_intervals_that_nobody_counted_lose_a_machine_that_moves(
         assert machine.chain.uncertain(intervals) is None  # lost once
 
 
+@each("contradicts", [False, True])
+def test_in_doubt_only_missing_samples_leave_a_machine_at_rest(contradicts: bool) -> None:
+    """By a sample that contradicts it may have begun to move: no interval may pass uncounted then."""
+    machine = Machine(0.0)
+    machine.run(30)
+    machine.chain.step(at(machine.position + 0.4)) if contradicts else machine.chain.miss()
+    machine.chain.uncertain(1.0)
+    assert machine.chain.lost is contradicts
+
+
 @pytest.mark.parametrize("declared", [0.0, 0.2])
 @pytest.mark.parametrize(("acceleration", "speed"), [(0.12, 0.36), (-0.15, -0.3), (0.2, 0.4)])
 def test_a_short_pause_while_a_slow_machine_accelerates(

@@ -232,7 +232,7 @@ class SignalChain:
 
         None where that makes no difference: each phase is then less than half a cycle from the last.
         """
-        return self.lose() if self.slips(intervals) else None
+        return self.lose() if self.slips(intervals) or self.stages.estimator.contradicted else None
 
     def lose(self) -> Feedback:
         """The position is lost from now on: no cycles were counted."""

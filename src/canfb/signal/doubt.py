@@ -203,14 +203,14 @@ class Doubt:
         self.candidates = start
         self._begun = len(self.log)
         self._first_spots = start[0].spots
-        self._only_missing = True
+        self.only_missing = True  # No sample contradicts, and none was flagged.
         self._contradicted: int | None = None  # number of the last entry that no candidate could take
         self._rows = 0  # contradictions
         self.followed = 0.0  # intervals with samples
 
     def skip(self, elapsed: float, flagged: bool) -> None:
         """No sample, or one that failed its checks (``flagged``), ``elapsed`` intervals later."""
-        self._only_missing &= not flagged
+        self.only_missing &= not flagged
         self._enter(None, elapsed)
         self._follow(self._advance(self.candidates, len(self.log) - 1))
 
@@ -218,7 +218,7 @@ class Doubt:
         """A sample counted by a wider bound than that in doubt contradicts."""
         number = self._first_misfit(len(self.log))
         if number < len(self.log):
-            self._only_missing = False
+            self.only_missing = False
             self._contradicted = number
             if not self._go_back(number):
                 self.candidates = []
@@ -231,7 +231,7 @@ class Doubt:
         if not self._follow([] if refused else self._advance(self.candidates, number)):
             return Decision(lost=LossCause.UNDECIDED)
         if not self.candidates:
-            self._only_missing = False
+            self.only_missing = False
             self._contradicted = self._first_misfit(number)
             self._rows += 1
             if self._rows > MOST_ROWS:
@@ -290,10 +290,10 @@ class Doubt:
         one = candidates[0]
         counts = {other.last.cycles for other in candidates}
         settled = all(other.is_settled for other in candidates)
-        if self._only_missing and len(counts) == 1:
+        if self.only_missing and len(counts) == 1:
             return Decision(one, settled=settled and len(candidates) == 1)
         if len(candidates) == 1:
-            if settled and not self._only_missing and self._is_proven(one):
+            if settled and not self.only_missing and self._is_proven(one):
                 return Decision(lost=LossCause.JUMP) if self._is_jump(one) else Decision(one, settled=True)
         elif settled and all(
             abs(one.elapsed - round(one.elapsed)) <= SAME_TIME for one in self.log[self._begun :]

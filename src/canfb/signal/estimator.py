@@ -189,6 +189,11 @@ class Estimator:
         """True while several motions are left."""
         return self._doubt is not None and len(self._doubt.candidates) > 1
 
+    @property
+    def contradicted(self) -> bool:
+        """By a sample."""
+        return self._doubt is not None and not self._doubt.only_missing
+
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
         second = self.timed and len(self.places) == 1

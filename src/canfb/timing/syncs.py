@@ -213,7 +213,7 @@ class Syncs:
         return SyncVerdict(lost, off=off, doubt=doubt) if lost or off or doubt else ON_TIME, 0, 0.0
 
     def rate_is_open(self, sampled_s: float) -> bool:
-        """SYNC may come at another rate than the samples, ``sampled_s`` apart; 0.0: not known."""
+        """SYNC may be at another rate than samples ``sampled_s`` apart; 0.0: none."""
         grid = self.grid
         is_another = grid.period > 0.0 and abs(grid.period - sampled_s) > SAME_PERIOD * sampled_s > 0.0
         return is_another or bool(grid.row if self.stamped else grid.early)
