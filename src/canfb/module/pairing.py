@@ -163,10 +163,14 @@ class Pairing(ProcessData):
         self._sample_came, self._stale = 0, False
         self._synced = True
         in_turn = not self._prediction.follows if parts.timed else due == self._accounted == self._answered
-        is_open = late or self.unconfirmed or syncs.rate_is_open(self._chain.times.unit_s)
+        is_open = late or self.unconfirmed or verdict.off or syncs.grid.early
         if source is not None:
             self._sample_source(source, now)
-        elif in_turn and self.sampled and not (is_open or self.answers.waits):
+        elif (
+            in_turn
+            and self.sampled
+            and not (is_open or self.answers.waits or syncs.is_another(self._chain.times.unit_s))
+        ):
             self.usual = parts.usual
 
     def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[HeldRpdo]) -> int:
@@ -422,11 +426,12 @@ class Pairing(ProcessData):
         if self._interval.samples_per_sync > 1:
             self._grid.follow(syncs.grid.seen)
         last, times = self._publishing.last, self._chain.times
-        times.count_is_open = syncs.rate_is_open(times.unit_s)
+        times.count_is_open = syncs.is_another(times.unit_s)
         feedback = self._chain.step(sample, received_s, synced_s, place > self._accounted)
         is_new = last is None or feedback.samples != last.samples
         if is_new:
-            is_open = (self._chain.between and times.count_is_open) or syncs.grid.early
+            off = times.count_is_open or (syncs.stamped and syncs.grid.row)
+            is_open = (self._chain.between and off) or syncs.grid.early
             withheld = self.unconfirmed or (is_open and self._chain.slips(1.0))
             self._out(sample, self._withheld(feedback) if withheld else feedback, now)
         elif times.passed > 0.0 and self._chain.slips(1.0):

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from math import inf, isfinite
 from typing import NamedTuple
 
-from canfb.timing.grid import SAME_PERIOD, Grid
+from canfb.timing.grid import UNDECLARED, Grid
 
 USUAL_JITTER_S = 0.2e-3  # a frame before it at 1 Mbit/s, and 65 us of producer and receive time
 SAME_FRAME_S = 47e-6  # the shortest frame at 1 Mbit/s: no SYNC comes sooner after another
@@ -212,11 +212,10 @@ class Syncs:
         self.place += lost
         return SyncVerdict(lost, off=off, doubt=doubt) if lost or off or doubt else ON_TIME, 0, 0.0
 
-    def rate_is_open(self, sampled_s: float) -> bool:
-        """SYNC may be at another rate than samples ``sampled_s`` apart; 0.0: none."""
-        grid = self.grid
-        is_another = grid.period > 0.0 and abs(grid.period - sampled_s) > SAME_PERIOD * sampled_s > 0.0
-        return is_another or bool(grid.row if self.stamped else grid.early)
+    def is_another(self, sampled_s: float) -> bool:
+        """SYNC is at another rate than samples ``sampled_s`` apart; 0.0: unknown."""
+        # Below that no count is at the place of another one.
+        return self.grid.period > 0.0 and abs(self.grid.period - sampled_s) > UNDECLARED * sampled_s > 0.0
 
     # With receive times.
 
