@@ -163,14 +163,10 @@ class Pairing(ProcessData):
         self._sample_came, self._stale = 0, False
         self._synced = True
         in_turn = not self._prediction.follows if parts.timed else due == self._accounted == self._answered
-        is_open = late or self.unconfirmed or verdict.off or syncs.grid.early
+        is_open = late or verdict.off or syncs.grid.early or syncs.is_another(self._chain.times.unit_s)
         if source is not None:
             self._sample_source(source, now)
-        elif (
-            in_turn
-            and self.sampled
-            and not (is_open or self.answers.waits or syncs.is_another(self._chain.times.unit_s))
-        ):
+        elif in_turn and self.sampled and not (is_open or self.unconfirmed or self.answers.waits):
             self.usual = parts.usual
 
     def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[HeldRpdo]) -> int:
