@@ -162,11 +162,12 @@ class Pairing(ProcessData):
             self._end_parts(now)
         self._sample_came, self._stale = 0, False
         self._synced = True
-        in_turn = not self._prediction.follows if parts.timed else due == self._accounted == self._answered
-        is_open = late or verdict.off or syncs.grid.early or syncs.is_another(self._chain.times.unit_s)
         if source is not None:
             self._sample_source(source, now)
-        elif in_turn and self.sampled and not (is_open or self.unconfirmed or self.answers.waits):
+            return
+        in_turn = not self._prediction.follows if parts.timed else due == self._accounted == self._answered
+        is_open = late or verdict.off or syncs.grid.early or syncs.is_another(self._chain.times.unit_s)
+        if in_turn and self.sampled and not (is_open or self.unconfirmed or self.answers.waits):
             self.usual = parts.usual
 
     def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[HeldRpdo]) -> int:
@@ -245,9 +246,8 @@ class Pairing(ProcessData):
         self.usual = NO_RPDO
         if not self.sampled:
             self.begin()  # nothing is counted yet: the next SYNC is the first
-        if not syncs.overdue(now):
+        if not syncs.overdue(now, self.timed):
             return False
-        syncs.was_overdue = self.timed
         if self._ambiguous and not self.timed:
             self._lose_count(1.0, now)  # which of them the last sample answers stays open
         if self._elapsed:

@@ -270,14 +270,15 @@ class SignalChain:
         self.crowded = passed == CROWDED
         if passed <= 0.0:
             # One of a machine that creeps would be right, and its speed by the count wrong by far.
+            may_rest = passed == SUSPECT or (passed == REPEATED and times.passed > 0.0)
             rests = (
-                self.begun
+                may_rest
+                and self.begun
                 and stages.is_near(sample.sine, sample.cosine)
                 and not (self.lost or self.slips(times.off) or self._pauses.creeps)
             )
             self._left_out += elapsed * (self.crowded and counts)
-            late = rests and passed == REPEATED and times.passed > 0.0  # at rest it is used
-            if passed != SUSPECT and not late:
+            if passed != SUSPECT and not rests:  # at rest a late one is used
                 return self._restarted(sample) if passed == RESTARTED or stages.last is None else stages.last
             times.waited += elapsed
             self._unused += elapsed * (not rests)

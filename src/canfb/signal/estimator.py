@@ -191,7 +191,7 @@ class Estimator:
 
     @property
     def contradicted(self) -> bool:
-        """By a sample."""
+        # A sample does not fit the motion: more than samples that are missing.
         return self._doubt is not None and not self._doubt.only_missing
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:

@@ -68,6 +68,7 @@ class Syncs:
         "_periods",
         "_received_s",
         "_valid_s",
+        "_was_overdue",
         "begun",
         "expected_s",
         "extra_after",
@@ -80,7 +81,6 @@ class Syncs:
         "stamped",
         "synced_s",
         "until",
-        "was_overdue",
     )
 
     def __init__(self) -> None:
@@ -120,8 +120,8 @@ class Syncs:
         self._valid_s = inf  # from a SYNC to `until`
         self._low_s, self._high_s = inf, -inf  # off the place, of a SYNC that needs no judgement
         self._assumed = False  # the last place was never received: its PDO came
-        # Nor did that come: the next SYNC may be of another rate. Set where sample times tell intervals.
-        self.was_overdue = False
+        # Nor did that come: where samples are timed the next SYNC may be of another rate.
+        self._was_overdue = False
 
     def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
         grid = self.grid
@@ -208,7 +208,7 @@ class Syncs:
 
     def _taken(self, stamped: bool, lost: int, off: float = 0.0, doubt: float = 0.0) -> Judged:
         self.stamped, self.begun, self.extra_came = stamped, True, False
-        self._assumed = self.was_overdue = False
+        self._assumed = self._was_overdue = False
         self.place += lost
         return SyncVerdict(lost, off=off, doubt=doubt) if lost or off or doubt else ON_TIME, 0, 0.0
 
@@ -225,7 +225,7 @@ class Syncs:
         places = min(places, MOST_INTERVALS)
         contradicts = missing is not None and (places - 1 - missing) % self.overflow != 0
         on = abs(off_s) <= grid.allowed
-        in_turn = on and not (contradicts or self.extra_came or self.was_overdue)
+        in_turn = on and not (contradicts or self.extra_came or self._was_overdue)
         if in_turn and (places == 1 or (places > 1 and missing is not None)):
             grid.is_in_turn(time_s)
         elif grid.refuse(time_s):
@@ -282,7 +282,7 @@ class Syncs:
         else:  # the line is good for as many places ahead as it was learned from
             ahead = late_s / (TOGETHER * grid.seen * grid.period)
             doubt = ahead if missing is None and ahead > 1.0 else 0.0
-        in_time = not (early or late or self.extra_came or self.was_overdue)
+        in_time = not (early or late or self.extra_came or self._was_overdue)
         if in_time and not doubt:
             grid.is_in_turn(time_s, may_be_late=True)
         elif grid.refuse_call(time_s, early, self.expected_s()):
@@ -326,12 +326,13 @@ class Syncs:
             self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
         self.until = self.synced_s + self._valid_s
 
-    def overdue(self, now: float) -> bool:
+    def overdue(self, now: float, timed: bool = False) -> bool:
         """No SYNC for so long; the places up to ``now`` passed. False where the period is not known."""
         period_s = self.grid.period
         if not period_s or not self.begun or not isfinite(now):
             self.until = inf
             return False
         self.advance(max(1, min(int((now - self.synced_s) / period_s + 1e-6) - 1, MOST_INTERVALS)))
+        self._was_overdue = timed
         self.until = max(self.synced_s + 2.0 * period_s, now + period_s)
         return True
