@@ -359,9 +359,9 @@ def jitter(text: str) -> Jitter:
     return Jitter(float(found[1]) * UNITS_S[found[2]], found[2] == "%")
 
 
-def jitter_s(options: argparse.Namespace, rate_hz: float | None) -> float:
+def jitter_s(options: argparse.Namespace, rate_hz: float) -> float:
     """``--jitter`` in seconds; a part is one of the period of ``rate_hz``."""
-    return float(options.jitter.value / (rate_hz or 1.0) if options.jitter.is_part else options.jitter.value)
+    return float(options.jitter.value / rate_hz if options.jitter.is_part else options.jitter.value)
 
 
 def jitter_of(text: str) -> Row:
