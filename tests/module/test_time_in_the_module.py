@@ -458,6 +458,47 @@ def test_a_machine_that_moves_when_sync_changes_its_rate(
     assert not [one for one in machine.positions if one.valid and abs(one.cycles - one.truth) > 0.5]
 
 
+@given(
+    st.sampled_from([0.25, 1 / 3, 0.5, 2 / 3, 2, 3, 4, 5]),
+    st.sampled_from([0.1, 0.3, 1.0, 3.3, 7.7]),
+    st.sampled_from([0, 10, 240]),
+    st.integers(-3, 14),
+    st.lists(st.sampled_from([-1.0, 1.0, 0.0]), min_size=1, max_size=3),
+)
+@example(2 / 3, 1.0, 0, 5, [1.0])
+def test_a_steady_machine_whose_sample_times_are_at_the_count_of_another_rate(
+    rate: float, speed: float, overflow: int, first: int, off: list[float]
+) -> None:
+    """Where a period more or less shows as much the same phase: the receptions say that they are wrong."""
+    machine = Machine(True, ramped(speed), times=True, overflow=overflow)
+    for n, k in enumerate((*range(1, 91), *(90.0 + k * rate for k in range(1, 80))), -89):
+        machine.sync_at(n + 90, k)
+        wrong = off[n - first] if 0 <= n - first < len(off) else 0.0
+        machine.sample(k, k + ADC * min(1.0, rate), time=k + wrong)
+    assert machine.right()
+
+
+@given(
+    st.lists(st.tuples(st.floats(1.0, 8.0), st.integers(1, 40), st.floats(0.0, 0.3)), min_size=3, max_size=6),
+    st.sampled_from([0.3, 3.3, 7.7]),
+)
+@example([(1.0, 40, 0.0), (3.0, 10, 0.0), (2.0, 40, 0.0)], 7.7)
+def test_an_interface_whose_clock_is_sync_may_be_in_slow_motion(
+    paces: list[tuple[float, int, float]], speed: float
+) -> None:
+    """As that of ``canfb simulate --pace sync``: a period for each SYNC, which waits for all at first."""
+    machine = Machine(True, lambda k: ramped(speed)(max(0, k - 30)), {(0x2010, 6): 200}, times=True)
+    at, apart = 1.0, [25.0, 25.0]
+    for pace, syncs, rough in paces:
+        apart += [pace * (1.0 + rough * (n % 3)) for n in range(syncs)]
+    for k, pace in enumerate(apart, 1):
+        machine.sync_at(k, at)
+        machine.sample(k, at + ADC)
+        at += pace
+    assert machine.right()
+    assert not any(one.status & LOST for one in machine.positions)
+
+
 @given(st.floats(0.03, 0.3), st.integers(1, 40), st.floats(0.0, 1.0), st.booleans(), st.booleans())
 @example(0.03, 1, 0.9375, False, False)  # four samples within the 0.05 cycle of the phase before the pause
 def test_a_machine_that_begins_to_move_in_a_pause_is_lost(

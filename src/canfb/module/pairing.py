@@ -166,7 +166,7 @@ class Pairing(ProcessData):
             self._sample_source(source, now)
             return
         in_turn = not self._prediction.follows if parts.timed else due == self._accounted == self._answered
-        is_open = late or verdict.off or syncs.grid.early or syncs.is_another(self._chain.times.unit_s)
+        is_open = late or verdict.off or syncs.grid.early
         if in_turn and self.sampled and not (is_open or self.unconfirmed or self.answers.waits):
             self.usual = parts.usual
 
@@ -422,12 +422,10 @@ class Pairing(ProcessData):
         if self._interval.samples_per_sync > 1:
             self._grid.follow(syncs.grid.seen)
         last, times = self._publishing.last, self._chain.times
-        times.count_is_open = syncs.is_another(times.unit_s)
         feedback = self._chain.step(sample, received_s, synced_s, place > self._accounted)
         is_new = last is None or feedback.samples != last.samples
         if is_new:
-            off = times.count_is_open or (syncs.stamped and syncs.grid.row)
-            is_open = (self._chain.between and off) or syncs.grid.early
+            is_open = (self._chain.between and syncs.stamped and syncs.grid.row) or syncs.grid.early
             withheld = self.unconfirmed or (is_open and self._chain.slips(1.0))
             self._out(sample, self._withheld(feedback) if withheld else feedback, now)
         elif times.passed > 0.0 and self._chain.slips(1.0):

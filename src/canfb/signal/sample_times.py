@@ -5,7 +5,7 @@ nor the length of the interval matters. A time is right
 
 - with receive times, if it is as long after the last one as its SYNC was after that of the last; or at its
   place, if a timer of the interface lies closer to the line than to SYNC;
-- where these are worse than HEARD_S, at the place of its count, or if SYNC and PDO say so;
+- where these are worse than HEARD_S, if both of them say so, or one and the place of its count;
 - without, at the place of its count, or of two calls in a row.
 
 The line through the times that were right (:mod:`canfb.timing.grid`) is the one estimate of that clock.
@@ -18,7 +18,7 @@ from math import inf
 
 from canfb.signal.bounded_motion import HOLE_INTERVALS
 from canfb.signal.sample import TICK_S, TICKS
-from canfb.timing.grid import SHOWN, UNDECLARED, Grid
+from canfb.timing.grid import ROW, SHOWN, UNDECLARED, Grid
 
 HALF_TICKS = TICKS // 2
 OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
@@ -43,7 +43,7 @@ class SampleTimes:
     __slots__ = (
         "_agrees",
         "_at",
-        "_at_count",
+        "_by_count",
         "_heard_s",
         "_last",
         "_least_s",
@@ -52,7 +52,6 @@ class SampleTimes:
         "_refused_counted",
         "_rests",
         "_synced_s",
-        "count_is_open",
         "grid",
         "off",
         "passed",
@@ -64,7 +63,6 @@ class SampleTimes:
         self._rests = rests  # The machine stands still, for certain.
         self.sync_interval_s = 0.0
         self.grid = Grid()  # The times that were right, ticks since the first one.
-        self.count_is_open = False  # SYNC at another rate? With receive times its count says nothing.
         # Intervals since the last sample, by the last time; and from a SUSPECT one to its place.
         self.passed, self.off = 1.0, 0.0
         self.reset()
@@ -72,6 +70,9 @@ class SampleTimes:
     def reset(self) -> None:
         self._pace_s = 0.0  # the interval, while nobody says how long it is
         self._heard_s = 0.0  # how far times are from the receptions of SYNC, mean
+        # Times since one that was not at its count that were, against both receptions: after ROW SYNC is their
+        # clock, as that of a simulated interface whose SYNC waits for it.
+        self._by_count = 0
         self.grid.forget()
         self.forget()
 
@@ -82,7 +83,6 @@ class SampleTimes:
         self._received_s: float | None = None  # when that was received
         self._synced_s: float | None = None  # when its SYNC was
         self._least_s = inf  # by the call of its SYNC, when the first sample was taken, at the soonest
-        self._at_count = True  # the last time that was right was at the place of its count
         self._agrees = False  # the last time that was not right was where its call was due
         self._refused_counted = 0.0  # intervals counted up to the last time that was not right
         self.waited = 0.0  # intervals without a sample since the last one with its time
@@ -185,9 +185,11 @@ class SampleTimes:
                 heard = [
                     abs(one - passed_s) <= unsure_s for one in (apart_s, heard_apart_s) if one is not None
                 ]
-                # After a time that was not right, or not at its count, the count alone is none either.
-                counts = self._at_count and not (self._refused_counted or self.count_is_open)
-                right = all(heard) or (right and (any(heard) or counts))
+                if right and not any(heard):
+                    self._by_count += 1
+                    right = not grid.period or self._by_count >= ROW or self._rests()
+                else:
+                    right = all(heard) or (right and any(heard))
             right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
             error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
@@ -212,7 +214,8 @@ class SampleTimes:
             _bounded(received_s, heard_apart_s, passed_s),
             _bounded(synced_s, apart_s, passed_s),
         )
-        self._at_count = places == round(counted)
+        if places != round(counted):
+            self._by_count = 0
         return intervals
 
     def _follow_pace(self, ticks: int, counted: float) -> bool:

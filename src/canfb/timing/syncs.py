@@ -13,7 +13,7 @@ from collections.abc import Callable
 from math import inf, isfinite
 from typing import NamedTuple
 
-from canfb.timing.grid import UNDECLARED, Grid
+from canfb.timing.grid import Grid
 
 USUAL_JITTER_S = 0.2e-3  # a frame before it at 1 Mbit/s, and 65 us of producer and receive time
 SAME_FRAME_S = 47e-6  # the shortest frame at 1 Mbit/s: no SYNC comes sooner after another
@@ -211,11 +211,6 @@ class Syncs:
         self._assumed = self._was_overdue = False
         self.place += lost
         return SyncVerdict(lost, off=off, doubt=doubt) if lost or off or doubt else ON_TIME, 0, 0.0
-
-    def is_another(self, sampled_s: float) -> bool:
-        """SYNC is at another rate than samples ``sampled_s`` apart; 0.0: unknown."""
-        # Below that no count is at the place of another one.
-        return self.grid.period > 0.0 and abs(self.grid.period - sampled_s) > UNDECLARED * sampled_s > 0.0
 
     # With receive times.
 
