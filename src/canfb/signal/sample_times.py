@@ -4,8 +4,8 @@ The interface's own clock says it exactly; only the ratio of differences enters 
 nor the length of the interval matters. A time is right
 
 - with receive times, if it is as long after the last one as its SYNC was after that of the last; or at its
-  place, if a timer of the interface lies closer to the line than to SYNC;
-- where these are worse than HEARD_S, if both of them say so, or one and the place of its count;
+  place, if the times so far are closer to the line than to SYNC, as those of a timer;
+- where these are worse than HEARD_S, if both of them say so, or at the place of its count one or such a line;
 - without, at the place of its count, or of two calls in a row.
 
 The line through the times that were right (:mod:`canfb.timing.grid`) is the one estimate of that clock.
@@ -18,11 +18,12 @@ from math import inf
 
 from canfb.signal.bounded_motion import HOLE_INTERVALS
 from canfb.signal.sample import TICK_S, TICKS
-from canfb.timing.grid import ROW, SHOWN, UNDECLARED, Grid
+from canfb.timing.grid import SHOWN, UNDECLARED, Grid
 
 HALF_TICKS = TICKS // 2
 OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
 CLOSEST = 0.25  # intervals: samples closer together would give a poor speed
+RECEIVED_S = 10e-6 / 3  # the mean distance of two receive times that are exact to 10 us
 HEARD_S = 75e-6  # two receive times of 30 us, and the interface
 FAR_S = 10 * HEARD_S  # counts in their mean, once the host has started: ROW wrong times do not reach HEARD_S
 DRIFT = 2e-4  # of two clocks, 100 ppm each
@@ -43,7 +44,6 @@ class SampleTimes:
     __slots__ = (
         "_agrees",
         "_at",
-        "_by_count",
         "_heard_s",
         "_last",
         "_least_s",
@@ -51,6 +51,7 @@ class SampleTimes:
         "_received_s",
         "_refused_counted",
         "_rests",
+        "_right_heard_s",
         "_synced_s",
         "grid",
         "off",
@@ -70,9 +71,7 @@ class SampleTimes:
     def reset(self) -> None:
         self._pace_s = 0.0  # the interval, while nobody says how long it is
         self._heard_s = 0.0  # how far times are from the receptions of SYNC, mean
-        # Times since one that was not at its count that were, against both receptions: after ROW SYNC is their
-        # clock, as that of a simulated interface whose SYNC waits for it.
-        self._by_count = 0
+        self._right_heard_s = 0.0  # the same, up to the last time that was right
         self.grid.forget()
         self.forget()
 
@@ -164,10 +163,14 @@ class SampleTimes:
         harmless_s = min(unsure_s, SLIP_CYCLES * unit / speed_cycles) if speed_cycles else unsure_s
         spare_s, most_s = max(HEARD_S, harmless_s), 2.0 * max(grid.allowed * TICK_S, unsure_s)
         wrong, error_s, by_call = abs(intervals - counted), 0.0, False
+        if not self._refused_counted:
+            self._right_heard_s = self._heard_s
         if heard_apart_s is not None and apart_s is not None:
             error_s = abs(apart_s - passed_s)
             wrong = max(wrong, error_s / unit, abs(apart_s / unit - counted))
             self._heard_s += (min(error_s, FAR_S if grid.period else unit) - self._heard_s) / SHOWN
+        # That of a timer, or of a clock that each SYNC advances, is closer to the line than to SYNC.
+        is_timer = off_s <= spare_s and max(grid.deviation * TICK_S, RECEIVED_S) < self._right_heard_s
         # A time at its place is wrong by most_s: beyond, SYNC was late, and the count says more.
         if heard_apart_s is None or self._heard_s > HEARD_S or error_s >= most_s:
             right = places == round(counted)
@@ -185,19 +188,12 @@ class SampleTimes:
                 heard = [
                     abs(one - passed_s) <= unsure_s for one in (apart_s, heard_apart_s) if one is not None
                 ]
-                if right and not any(heard):
-                    self._by_count += 1
-                    right = not grid.period or self._by_count >= ROW or self._rests()
-                else:
-                    right = all(heard) or (right and any(heard))
+                right = all(heard) or (right and (any(heard) or is_timer or not grid.period))
             right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
             error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
             right = error_s <= spare_s or (
-                # That of a timer, which is closer to the line than to SYNC.
-                off_s <= spare_s
-                and error_s < unsure_s
-                and (apart_s is None or grid.deviation * TICK_S < self._heard_s)
+                off_s <= spare_s and error_s < unsure_s and (apart_s is None or is_timer)
             )
         kind = REPEATED if heard_apart_s is None and grid.period and places < counted - 0.5 else SUSPECT
         if not right or (by_call and kind == REPEATED):
@@ -214,8 +210,6 @@ class SampleTimes:
             _bounded(received_s, heard_apart_s, passed_s),
             _bounded(synced_s, apart_s, passed_s),
         )
-        if places != round(counted):
-            self._by_count = 0
         return intervals
 
     def _follow_pace(self, ticks: int, counted: float) -> bool:
