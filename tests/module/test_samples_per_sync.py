@@ -99,6 +99,22 @@ def test_a_servo_move_over_a_bus_with_jitter(per_sync: int, residual: float, jit
     assert [bus.counter((0x2012, sub)) for sub in (1, 2, 3, 4, 5, 8)] == [0] * 6
 
 
+@each("said_us", [700, 1300, 1500, 3000])
+def test_a_1006h_that_is_wrong_is_not_the_interval_of_the_sample_times(said_us: int) -> None:
+    bus = Bus(1e-4, samples_per_sync=4, sync_jitter_s=3e-4)
+    bus.module.dictionary.entry(0x1006).value = said_us
+    off = []
+    for _ in range(400):
+        got = bus.sync()
+        if got is not None and got.valid:
+            off.append(away(bus, got))
+    assert got is not None
+    assert got.valid
+    assert len(off) > 350
+    assert off == pytest.approx([off[0]] * len(off), abs=0.1)
+    assert bus.module.interval_s == pytest.approx(PERIOD_S / 4, rel=1e-2)
+
+
 @each("per_sync", [4, 7])
 @each("times", [False, True])
 def test_speed_and_acceleration_are_those_of_the_machine(per_sync: int, times: bool) -> None:

@@ -139,8 +139,6 @@ class SampleTimes:
         """
         last, grid = self._last, self.grid
         if last is None:
-            if self.sync_interval_s and not grid.period:
-                grid.expect(self.sync_interval_s / TICK_S)
             grid.begin(0.0)
             self._take(time_100ns, 0, received_s, synced_s)
             return counted

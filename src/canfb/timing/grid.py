@@ -96,10 +96,6 @@ class Grid:
         self._jitter = jitter
         self._find_gains()
 
-    def expect(self, period: float) -> None:
-        """The period is said to be this; instants show it as if FIRST had."""
-        self.period, self.seen = period, FIRST
-
     def begin(self, instant: float) -> None:
         self._first, self._fresh = [instant], 1
         self.due = instant + self.period
