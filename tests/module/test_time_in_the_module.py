@@ -712,3 +712,16 @@ def test_a_part_that_waits_for_sync_ends_its_sample_before_those_that_are_missin
         machine.cycle(k)
         machine.sent(Frame(0x290, b"\0"))
     assert all(abs(one.cycles - one.truth) < 0.5 for one in machine.positions[70:] if one.valid)
+
+
+def test_a_sync_that_comes_again_before_the_next_is_told_by_its_counter() -> None:
+    """It is between two places, nearer to the next; the next one is not at its place either."""
+    machine = Machine(True, ramped(0.9), overflow=20)
+    machine.run(1, 101)
+    machine.sync_at(100, 100.84)
+    machine.run(101, 102)
+    machine.sync_at(102, 102.16)
+    machine.sample(102, 102.41)
+    assert machine.run(103, 140)[-1].valid
+    assert machine.right()
+    assert machine.sdo[0x2012][13].raw == 1

@@ -231,7 +231,9 @@ class Syncs:
             counted = self._nearest(missing, places - 1) + 1
             doubt = float(abs(counted - places))
             if not on and doubt <= 1.0:  # between two places the counter says which
-                places, doubt = max(1, counted), 0.0
+                if counted < 1:
+                    return self._extra(time_s)
+                places, doubt = counted, 0.0
             grid.skip(places)
             return self._taken(True, max(0, min(places, counted) - 1), abs(off_s) / grid.period, doubt)
         # A line through a few instants that jitter may be off by a place.
