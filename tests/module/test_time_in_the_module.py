@@ -725,3 +725,15 @@ def test_a_sync_that_comes_again_before_the_next_is_told_by_its_counter() -> Non
     assert machine.run(103, 140)[-1].valid
     assert machine.right()
     assert machine.sdo[0x2012][13].raw == 1
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.9, 3.3])
+def test_a_synchronous_rpdo_with_sample_times_goes_on_where_one_sync_is_missing(speed: float) -> None:
+    """The next one comes just before two periods without one are over."""
+    machine = Machine(True, ramped(speed), {(0x1400, 2): 1}, times=True)
+    machine.run(1, 100)
+    machine.sync_at(101, 100.99)
+    machine.sample(101)
+    assert machine.run(102, 140)[-1].valid
+    assert machine.right()
+    assert machine.sdo[0x2012][1].raw == 2  # the sample that waited is of either SYNC

@@ -206,7 +206,8 @@ class Pairing(ProcessData):
             self._publishing.withhold()
         if lost := verdict.lost:
             _count(self._lost_syncs, lost * self.sampled)
-            self._accounted += lost if counter is None and self.timed else self._heard_of(lost)
+            heard = counter is None and self.timed and not parts.is_synchronous
+            self._accounted += lost if heard else self._heard_of(lost)
         doubt = verdict.doubt or (verdict.lost if self._ambiguous else 0.0)
         self._ambiguous = False
         if doubt and not self.timed:  # sample times know how long it was
