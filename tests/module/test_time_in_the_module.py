@@ -737,3 +737,13 @@ def test_a_synchronous_rpdo_with_sample_times_goes_on_where_one_sync_is_missing(
     assert machine.run(102, 140)[-1].valid
     assert machine.right()
     assert machine.sdo[0x2012][1].raw == 2  # the sample that waited is of either SYNC
+
+
+def test_a_synchronous_rpdo_with_sample_times_goes_on_after_an_extra_sync() -> None:
+    """That takes over the sample which the next one would have: the next one has none."""
+    machine = Machine(True, ramped(0.9), {(0x1400, 2): 1}, times=True)
+    machine.run(1, 101)
+    machine.sync_at(100.4)
+    assert machine.run(101, 140)[-1].valid
+    assert machine.right()
+    assert machine.sdo[0x2012][1].raw == 0

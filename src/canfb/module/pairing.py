@@ -156,8 +156,10 @@ class Pairing(ProcessData):
         if self._second.number is not None:
             self._second.interval_over(not (verdict.lost or late or after_extra))
         nothing_came = not (self._sample_came or self._elapsed)
-        if parts.is_synchronous and nothing_came and self.sampled and self._synced and source is None:
-            self._miss_to(place, now)
+        if parts.is_synchronous and self.sampled and self._synced and source is None:
+            if nothing_came:
+                self._miss_to(place, now)
+            self._accounted = place  # by what came, if only at an extra SYNC before
         if not (parts.arrived and self.answers.waits):
             self._end_parts(now)
         self._sample_came, self._stale = 0, False
