@@ -747,3 +747,18 @@ def test_a_synchronous_rpdo_with_sample_times_goes_on_after_an_extra_sync() -> N
     assert machine.run(101, 140)[-1].valid
     assert machine.right()
     assert machine.sdo[0x2012][1].raw == 0
+
+
+def test_the_tracks_of_a_sample_twice_before_its_other_part_are_the_same_adc_pdo() -> None:
+    """Which of them belong together is open, not how many intervals passed."""
+    machine = Machine(True, ramped(0.9))
+    machine.remote.nmt.state = "PRE-OPERATIONAL"
+    machine.map_rpdo2(0x20000608)
+    machine.start()
+    for k in range(1, 140):
+        machine.cycle(k)
+        if k == 100:
+            machine.sample(k, k + 0.3)
+        machine.sent(Frame(0x290, b"\0"))
+    assert machine.right()
+    assert machine.positions[-1].valid

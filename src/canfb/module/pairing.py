@@ -81,6 +81,7 @@ class Pairing(ProcessData):
         self._moves = False  # and it moved since, by a speed that a wrong interval does not hide
         self._begun_s = 0.0  # when the first part of the sample came
         self._elapsed = 0.0  # intervals up to the tracks that have come, before the other parts; 0.0: none
+        self._tracks = 0, 0  # the counts of those
         # The RPDO that may bring a usual sample of the last SYNC; CAME: it has, and nothing since.
         self.usual = NO_RPDO
         self.syncs.pause()
@@ -315,7 +316,7 @@ class Pairing(ProcessData):
             if elapsed is None:
                 parts.is_mixed |= parts.arrived != 0  # its tracks stand in 2000h, in place of others
                 return
-            self._elapsed = elapsed
+            self._elapsed, self._tracks = elapsed, (parts.sine.value, parts.cosine.value)
         if number == parts.alone or parts.take(number):
             self._complete(parts.sample(), now)
 
@@ -372,7 +373,8 @@ class Pairing(ProcessData):
         self.count_bad_frame()
         if place <= self._answered:  # more samples than SYNCs
             counts = parts.sine.value, parts.cosine.value
-            if not (syncs.extra_came or self._stages.repeats(*counts)):
+            repeats = counts == self._tracks if self._elapsed else self._stages.repeats(*counts)
+            if not (syncs.extra_came or repeats):
                 self._moves |= not self._stages.is_near(*counts, LARGEST_SLIP_CYCLES)
                 self._lose_count(1.0, now)
             elif next_may_have_come:
