@@ -762,3 +762,22 @@ def test_the_tracks_of_a_sample_twice_before_its_other_part_are_the_same_adc_pdo
         machine.sent(Frame(0x290, b"\0"))
     assert machine.right()
     assert machine.positions[-1].valid
+
+
+@pytest.mark.parametrize("kind", [1, 255])
+@pytest.mark.parametrize("speed", [0.1, 0.2, 0.3])
+def test_one_sync_off_the_grid_does_not_lose_a_slow_machine_of_known_acceleration(
+    speed: float, kind: int
+) -> None:
+    """Its sample is no good one where it is further off than 2010:0C, which no contradiction has to show."""
+    acceleration = 1.3 * speed / 40.0  # cycles per interval^2
+    rad_s2 = acceleration * 2.0 * math.pi / 2500.0 / PERIOD_S**2
+    for late in (-0.35, -0.2, 0.13, 0.3):
+        machine = Machine(True, ramped(speed), {(0x1400, 2): kind, (0x2010, 2): rad_s2})
+        machine.run(1, 100)
+        machine.sync_at(100, 100 + late)
+        machine.sample(100 + late)
+        assert machine.run(101, 140)[-1].valid
+        machine.run(140, 160)
+        assert machine.run(161, 190)[-1].valid  # a SYNC that was lost
+        assert machine.right()

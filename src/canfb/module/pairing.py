@@ -204,7 +204,7 @@ class Pairing(ProcessData):
                 self.count_bad_frame()
                 self._stale = True
             chain = self._chain  # at rest it makes no difference
-            self._stale |= unsure and (not chain.begun or chain.lost or chain.slips(1.0))
+            self._stale |= unsure and (not chain.begun or chain.lost or chain.displaces(1.0))
         if unsure:
             self._publishing.withhold()
         if lost := verdict.lost:
@@ -463,7 +463,7 @@ class Pairing(ProcessData):
     # Samples into the chain, and out.
 
     def _take(self, sample: Sample, elapsed: float, now: float) -> None:
-        placed = not (self._off and self._chain.slips(self._off))
+        placed = not (self._off and self._chain.displaces(self._off))
         is_open = self._ambiguous or self.syncs.late_s > 0.0 or self.syncs.grid.early > 0
         self._moves = is_open and (self._moves or self._chain.slips(1.0))
         feedback = self._chain.after(sample, elapsed, placed=placed)

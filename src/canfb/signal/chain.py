@@ -227,6 +227,10 @@ class SignalChain:
         """Within these intervals of SYNC the machine moves so far that its phase could mislead."""
         return self._pauses.slips(intervals * self._per_sync)
 
+    def displaces(self, intervals: float) -> bool:
+        """A sample that was taken so many intervals of SYNC earlier or later is not a good one."""
+        return self._pauses.displaces(intervals * self._per_sync)
+
     def uncertain(self, intervals: float) -> Feedback | None:
         """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
 

@@ -30,12 +30,22 @@ class Pauses:
 
     def slips(self, intervals: float) -> bool:
         """Within these intervals the machine moves so far that its phase could mislead."""
+        return self._moves(intervals, LARGEST_SLIP_CYCLES)
+
+    def displaces(self, intervals: float) -> bool:
+        """A sample that was taken so much earlier or later is not a good one."""
+        declared = self._stages.estimator.declared
+        return self._moves(
+            intervals, LARGEST_SLIP_CYCLES if declared.acceleration is None else declared.phase_error
+        )
+
+    def _moves(self, intervals: float, cycles: float) -> bool:
         estimator = self._stages.estimator
         tracker = estimator.tracker
         if estimator.lost or not tracker.started:
             return False
         speed = max(abs(tracker.step_cycles), abs(speeds.steady_speed(estimator.places)))
-        return speed * intervals >= LARGEST_SLIP_CYCLES
+        return speed * intervals >= cycles
 
     @property
     def creeps(self) -> bool:
