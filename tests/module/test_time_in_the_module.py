@@ -15,10 +15,11 @@ from module_bench import SYNC, Bench
 
 import canfb
 from canfb.cia301.frame import Frame
-from canfb.signal.supervision import LOST, VALID
+from canfb.signal.supervision import EXTRAPOLATED, LOST, VALID
 from ideal_tracks import counts_at
 
 NODE, INTERFACE = 0x20, 0x10
+UNITS = 8192  # of a cycle: 6501h
 PERIOD_S = 4e-3
 ADC = 0.25  # periods from the SYNC to the ADC PDO
 SPEED = 0.3  # cycles per period
@@ -189,6 +190,34 @@ def test_the_late_answer_to_an_earlier_sync_is_not_that_of_the_last_one() -> Non
     assert machine.run(106, 140)[-1].valid
     machine.give_all([(140, True, 140), (141, True, 141), (141.02, False, 140), (142, True, 142)])
     assert not machine.positions[-1].valid
+
+
+@pytest.mark.parametrize("overflow", [0, 20])
+@pytest.mark.parametrize(
+    ("delay", "entries"), [(1.3, {(0x2010, 0x0E): 1.6 * PERIOD_S}), (0.6, {(0x2013, 2): 1})]
+)
+def test_an_extrapolated_position_is_that_of_its_sync(
+    delay: float, entries: dict[tuple[int, int], float], overflow: int
+) -> None:
+    """One SYNC is not received, and the next comes just after it was overdue."""
+    entries = {(0x1800, 2): 1, (0x2013, 1): 1, **entries}
+    machine = Machine(True, ramped(0.9), entries, times=True, overflow=overflow)
+    shown: dict[float, float] = {}  # cycles by the time of the PDO
+
+    def note(frame: Frame, now: float) -> None:
+        if frame.can_id == 0x180 + NODE:
+            units, status = struct.unpack_from("<iH", frame.data)
+            if now > 50 * PERIOD_S and status & VALID and status & EXTRAPOLATED:
+                shown[now / PERIOD_S] = units / UNITS
+
+    machine.bus.observers.append(note)
+    for k in range(1, 104):
+        if k != 100:
+            machine.sync_at(k, k + 0.001 * (k == 101))
+        answered = k - int(delay)
+        machine.sample(answered, answered + delay)
+    assert {98, 99, 103} < {round(at) for at in shown}
+    assert shown == pytest.approx({at: machine.motion(at) for at in shown}, abs=0.1)
 
 
 # What comes of a SYNC and its sample, SYNC by SYNC; and what is counted then, by sub-index of 2012h.

@@ -156,9 +156,8 @@ class Pairing(ProcessData):
         self._off = verdict.off  # a sample that waited for this SYNC is of the one before
         if self._second.number is not None:
             self._second.interval_over(not (verdict.lost or late or after_extra))
-        nothing_came = not (self._sample_came or self._elapsed)
         if parts.is_synchronous and self.sampled and self._synced and source is None:
-            if nothing_came:
+            if not (self._sample_came or self._elapsed):
                 self._miss_to(place, now)
             self._accounted = place  # by what came, if only at an extra SYNC before
         if not (parts.arrived and self.answers.waits):
@@ -209,7 +208,7 @@ class Pairing(ProcessData):
             self._publishing.withhold()
         if lost := verdict.lost:
             _count(self._lost_syncs, lost * self.sampled)
-            heard = counter is None and self.timed and not parts.is_synchronous
+            heard = counter is None and self.timed and not (parts.is_synchronous or self.answers.waits)
             self._accounted += lost if heard else self._heard_of(lost)
         doubt = verdict.doubt or (verdict.lost if self._ambiguous else 0.0)
         self._ambiguous = False
@@ -223,7 +222,8 @@ class Pairing(ProcessData):
 
     def _heard_of(self, unheard: int) -> int:
         """How many SYNCs not received are answered, by several samples with their time since the last one."""
-        answered = max(0, min(unheard, self._sample_came - 1))
+        # Answers that may come behind later SYNCs are placed by themselves.
+        answered = 0 if self.answers.waits else max(0, min(unheard, self._sample_came - 1))
         self._sample_came -= answered
         return answered
 
@@ -257,7 +257,7 @@ class Pairing(ProcessData):
         if self._elapsed:
             self._end_parts(now)
         self._accounted += self._heard_of(syncs.place - self._accounted)
-        self._miss_to(syncs.place, now)
+        self._miss_to(max(syncs.place - self.answers.waits, self._accounted), now)
         self._ambiguous = False
         self._stale = self._input.is_synchronous
         return True
@@ -490,9 +490,8 @@ class Pairing(ProcessData):
 
     def _lose_count(self, intervals: float, now: float) -> None:
         """So many intervals may or may not have passed: the position is lost if the machine moves."""
-        feedback = (  # by its speed now, or by that before a doubt that is still open
-            self._chain.lose() if self._moves and not self._chain.lost else self._chain.uncertain(intervals)
-        )
+        moved = self._moves and not self._chain.lost  # before a doubt that is still open
+        feedback = self._chain.lose() if moved else self._chain.uncertain(intervals)
         if feedback is not None:
             self._publishing.publish(feedback, now)
 

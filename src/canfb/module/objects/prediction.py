@@ -83,15 +83,16 @@ class Prediction:
         since = None if self._at_sync is None else last.samples - self._at_sync
         self._at_sync = last.samples
         displacement = self._displacement(last, periods)
+        self.measured = self._position.value, self._fine.value, self._status.value
         # Of several samples since one SYNC it is unknown when the last one was taken.
         if (
             displacement is None
             or last.samples == self._before
             or (since is not None and since > self._interval.samples_per_sync * most_syncs)
         ):
+            self._status.value &= ~EXTRAPOLATED  # nor is it that of the nominal SYNC
             return
         cycles, phase = ahead(last.cycles, last.phase, displacement)
-        self.measured = self._position.value, self._fine.value, self._status.value
         self._show(cycles, phase)
 
     def withdraw(self) -> None:
