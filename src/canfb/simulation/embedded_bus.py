@@ -299,15 +299,13 @@ class EmbeddedBus:
     """Delivers every frame to all others, at once or by a :class:`Wire` of ``bit_rate``, 10000..1000000
     bit/s.
 
-    ``now`` is the simulated time, ``bits`` and ``frames`` went over the bus, ``observers`` are called with
-    each frame and its time. What a participant computes takes no simulated time; ``computes`` False: never
-    done.
+    ``now`` is the simulated time, ``bits`` went over the bus, ``observers`` are called with each frame and
+    its time. What a participant computes takes no simulated time; ``computes`` False: never done.
     """
 
     def __init__(self, bit_rate: int | None = None) -> None:
         self.now = 0.0
         self.bits = 0
-        self.frames = 0
         self.computes = True
         self.observers: list[Callable[[Frame, float], None]] = []
         self._participants: list[Device] = []
@@ -380,7 +378,6 @@ class EmbeddedBus:
                 self._compute()
 
     def _hand_out(self, frame: Frame, sender: Device | None) -> None:
-        self.frames += 1
         self.bits += frame_bits(len(frame.data))
         now = self.now
         for observer in self.observers:

@@ -105,12 +105,13 @@ def test_a_torque_acts_from_its_time_on_but_not_before_the_first_sync(
 
 def test_the_encoder_is_sampled_at_the_time_that_is_asked_for_also_at_one_that_is_over() -> None:
     one = plant()
-    source = PlantSource(ShaftEncoder(Encoder(), 2500), one)
+    shaft = ShaftEncoder(Encoder(), 2500)
+    source = PlantSource(shaft, one)
     one.receive(SYNC, 1.0)
     cycles_per_s = 10.0 / (2 * math.pi) * 2500
     for at, want in ((1.5, 0.5), (2.0, 1.0), (1.9995, 0.9995), (2.5, 1.5)):
         source.sample_at(at)
-        assert source.position_cycles == pytest.approx(want * cycles_per_s)
+        assert shaft.position_cycles == pytest.approx(want * cycles_per_s)
 
 
 def test_the_zero_pulse_is_where_the_shaft_passes_a_revolution() -> None:

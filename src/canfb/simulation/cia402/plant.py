@@ -246,10 +246,6 @@ class PlantSource:
         self._last_s = 0.0
         self._last_revolutions = plant.motor.revolutions - plant.motor.config.slipped(0.0)
 
-    @property
-    def position_cycles(self) -> float:
-        return self._shaft.position_cycles
-
     def sample_at(self, now: float) -> Sample:
         self._plant.go_on_to(now)
         return self._sample(self._plant.ahead_s(now))
