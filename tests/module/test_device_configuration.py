@@ -144,7 +144,7 @@ def state(module: FeedbackModule) -> dict[Any, Any]:
         "offset": module.dictionary.entry(0x6509).value,
         "resolution": module.dictionary.entry(0x6501).value,
         "conditioning": [datatypes.encode(DataType.REAL32, value) for value in vars(active).values()],
-        "autostart": module.autostart,
+        "autostart": module.dictionary.entry(0x1F80).value,
     }
 
 

@@ -132,10 +132,6 @@ class Node:
     def now(self) -> float:
         return self.call.now
 
-    @property
-    def autostart(self) -> bool:
-        return self._life.startup.autostart
-
     def start(self, now: float) -> list[Frame]:
         self.call.now = now
         self._life.power_on(now)
