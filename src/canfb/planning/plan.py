@@ -290,7 +290,9 @@ class ResidualBudget:
 
     @cached_property
     def motion_cycles(self) -> float:
-        return self.acceleration_cycles(self.asked_rad_s2 or 0.0)
+        return cycles_per_interval_squared(
+            self.asked_rad_s2 or 0.0, self.module.settings.cycles_per_revolution, self.worst_interval_s
+        )
 
     @cached_property
     def needed_cycles(self) -> float:
@@ -364,11 +366,6 @@ class ResidualBudget:
     def worst_interval_s(self) -> float:
         """Equal intervals that leave as much of eq. 9 as unequal ones at worst: a h (g + h)/2."""
         return math.sqrt((self.interval_s + 2.0 * self.off_s) * (self.interval_s + self.off_s))
-
-    def acceleration_cycles(self, acceleration_rad_s2: float) -> float:
-        return cycles_per_interval_squared(
-            acceleration_rad_s2, self.module.settings.cycles_per_revolution, self.worst_interval_s
-        )
 
     @cached_property
     def phase_noise_cycles(self) -> float:
