@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Iterable
 from typing import Any
 
 from canfb.cia301.frame import Frame
 from canfb.signal.sample import Sample
-from canfb.sources.protocol import SourceEnded
+from canfb.sources.protocol import Source, SourceEnded
 
 
 class Listed:
@@ -32,6 +33,15 @@ class Listed:
 def repeated(*samples: Sample | tuple[int, int] | Exception | None) -> Listed:
     """A source whose last sample comes again and again."""
     return Listed(itertools.chain(samples, itertools.repeat(samples[-1])))
+
+
+def until_end(source: Source) -> list[Sample | None]:
+    """The samples of a source; a thousand of one that has no end."""
+    samples: list[Sample | None] = []
+    with contextlib.suppress(SourceEnded):
+        while len(samples) < 1000:
+            samples.append(source.next())
+    return samples
 
 
 class Changing:

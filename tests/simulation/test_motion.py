@@ -30,10 +30,9 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple, StoppableMotion
 from canfb.simulation.scenario import MotionConfig
 from canfb.simulation.set_up import Play, SampleRecorder, of_drive, of_motion, of_recording, set_up, source_of
-from canfb.sources.protocol import SourceEnded
 from canfb.sources.recording_source import RecordingLayout, open_recording
 from folding import each
-from played import Listed, Still
+from played import Listed, Still, until_end
 
 speeds = st.floats(-3000, 3000)
 durations = st.one_of(st.just(0.0), st.floats(1e-6, 5))  # numpy's interpolation fails on subnormal ones
@@ -269,15 +268,8 @@ def recorded(counts: list[Sample | None]) -> SampleRecorder:
 
 def played(path: Path, *options: str) -> list[Sample | None]:
     arguments = ["simulate", "x.yaml", "--samples", str(path), *options]
-    source = source_of(
-        *chosen(build_parser().parse_args(arguments), parse_config("modules: [{node_id: 32}]"))
-    )
-    samples = []
-    while True:
-        try:
-            samples.append(source.next())
-        except SourceEnded:
-            return samples
+    config = parse_config("modules: [{node_id: 32}]")
+    return until_end(source_of(*chosen(build_parser().parse_args(arguments), config)))
 
 
 def test_what_is_written_as_npz_is_played_as_it_was(tmp_path: Path) -> None:

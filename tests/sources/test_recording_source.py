@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +12,9 @@ import pytest
 from canfb.errors import CanfbError
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import SourceEnded
-from canfb.sources.recording_source import RecordingLayout, RecordingSource, open_recording
+from canfb.sources.recording_source import RecordingLayout, open_recording
 from folding import each
+from played import until_end
 
 AB = RecordingLayout(("a", "b"))
 
@@ -23,15 +23,6 @@ def written(tmp_path: Path, text: str | bytes) -> Path:
     path = tmp_path / "recording.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
-
-
-def played(source: RecordingSource) -> list[tuple[float, float] | None]:
-    samples: list[tuple[float, float] | None] = []
-    with contextlib.suppress(SourceEnded):
-        while len(samples) < 1000:
-            sample = source.next()
-            samples.append(sample and sample[:2])
-    return samples
 
 
 def test_rows_are_played_in_order_and_then_it_ends(tmp_path: Path) -> None:
@@ -66,7 +57,7 @@ def test_files_as_spreadsheets_and_instruments_write_them(
     tmp_path: Path, text: str | bytes, layout: RecordingLayout, pairs: list[tuple[float, float]], note: str
 ) -> None:
     source = open_recording(written(tmp_path, text), layout)
-    assert played(source) == pairs
+    assert [sample and sample[:2] for sample in until_end(source)] == pairs
     assert source.note == note
 
 
@@ -85,7 +76,7 @@ def test_at_a_gap_the_last_sample_is_left_out_and_samples_are_lost(
 ) -> None:
     path = written(tmp_path, "t,a,b\n" + "".join(f"{t},{n},0\n" for n, t in enumerate(times_s)))
     layout = replace(AB, time_column="t", gap_s=gap_s, gap_samples=gap_samples)
-    assert [sample and sample[0] for sample in played(open_recording(path, layout))] == numbers
+    assert [sample and sample[0] for sample in until_end(open_recording(path, layout))] == numbers
 
 
 WRONG: dict[str, tuple[str | bytes, str]] = {

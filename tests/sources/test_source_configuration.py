@@ -31,11 +31,12 @@ from canfb.signal.supervision import VALID
 from canfb.simulation.encoder import Encoder, Motion, MotionSource, Ramp, Ripple, ShaftEncoder
 from canfb.sources.iio_source import ChannelScaling, IioCapture, IioSourceConfig
 from canfb.sources.motion_source import MotionSourceConfig
-from canfb.sources.protocol import Source, SourceConfig, SourceEnded, source_kinds
+from canfb.sources.protocol import Source, SourceConfig, source_kinds
 from canfb.sources.recording_source import RecordingSourceConfig
 from commands import Command, yaml_file
 from documentation import blocks, page
 from folding import each
+from played import until_end
 from processes import python
 from test_configuration import loaded_or_refused
 
@@ -172,19 +173,11 @@ def opened(source: str, more: str = "") -> Source:
         return open_source(module, module.source, config, resources)[1]
 
 
-def played(source: Source) -> list[Sample | None]:
-    samples: list[Sample | None] = []
-    with contextlib.suppress(SourceEnded):
-        while len(samples) < 100:
-            samples.append(source.next())
-    return samples
-
-
 def test_the_motion_is_that_of_the_simulation() -> None:
     simulation = (
         "simulation: {encoder: {amplitude: 0.5, noise_lsb: 0}, motion: {standstill_s: 0, ramp_s: 0, rpm: 6}}"
     )
-    samples = played(opened("{kind: motion, rate_hz: 500}", simulation))
+    samples = until_end(opened("{kind: motion, rate_hz: 500}", simulation))
     # 6 rpm of 2500 cycles at 500 Hz: half a cycle for each sample.
     assert samples[:3] == [Sample(0, 1024), Sample(0, -1024), Sample(0, 1024)]
 
@@ -199,16 +192,16 @@ def tracks(tmp_path: Path) -> Path:
 def test_a_recording_with_gaps_and_times(tracks: Path) -> None:
     layout = "columns: [a, b], mid_scale: 2048, time_column: t, gap_samples: 2"
     source = f"{{kind: recording, file: {tracks}, {layout}}}"
-    assert played(opened(source)) == [Sample(0, 1), None, None, None, None, Sample(6, 7)]
+    assert until_end(opened(source)) == [Sample(0, 1), None, None, None, None, Sample(6, 7)]
     timed = source.replace("}", ", gap_s: 1000, time_stamps: true}")
-    times = [sample and sample.time_100ns for sample in played(opened(timed))]
+    times = [sample and sample.time_100ns for sample in until_end(opened(timed))]
     assert times == [0, 10_000, 50_000_000, 6_500_000_000 % 2**32]
 
 
 def test_a_recording_of_the_tools(tmp_path: Path) -> None:
     path = tmp_path / "samples.npz"
     write_npz(path, TrackSamples.of([1.0, np.nan, 3.0], [4.0, np.nan, -6.0], 1000.0, "test"))
-    assert played(opened(f"{{kind: recording, file: {path}}}")) == [Sample(1, 4), None, Sample(3, -6)]
+    assert until_end(opened(f"{{kind: recording, file: {path}}}")) == [Sample(1, 4), None, Sample(3, -6)]
 
 
 def test_a_module_of_the_command_runs_on_its_source(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
