@@ -12,8 +12,7 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.cli import node_options
-from canfb.cli.main import main
-from commands import Said
+from commands import Command, Said
 from commissioning_kit import Bench
 
 REQUEST, ANSWER = 0x620, 0x5A0
@@ -25,7 +24,7 @@ class Commands:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
         self._monkeypatch = monkeypatch
-        self._capsys = capsys
+        self._command = Command(capsys)
 
     def __call__(self, bench: Bench, *arguments: Any, code: int = 0) -> Said:
         @contextlib.contextmanager
@@ -33,9 +32,7 @@ class Commands:
             yield bench.master
 
         self._monkeypatch.setattr(node_options, "master_of", master_of)
-        self._capsys.readouterr()
-        assert main([str(one) for one in arguments]) == code, self._capsys.readouterr()
-        said = Said(*self._capsys.readouterr())
+        said = self._command("", *arguments, code=code)
         if code:
             assert said.err.count("\n") == 1, said.err
         return said
