@@ -12,10 +12,11 @@ from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import Store
 from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.master.access import NodeAccess
+from canfb.master.all_or_nothing import put_in_force
 from canfb.master.samples import TrackSamples
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
 from canfb.simulation.embedded_bus import REGULAR, EmbeddedBus, SyncProducer, SyncTiming
 from canfb.simulation.encoder import Encoder, Harmonic, Motion, MotionSource, Ripple, ShaftEncoder
 from played import Changing
@@ -121,6 +122,14 @@ def running(seconds: float = 0.5, **fields: Any) -> Bench:
     """The bench after so many seconds."""
     bench = Bench(**fields)
     bench.bus.run_until(seconds)
+    return bench
+
+
+def bench_with(used: Correction = NO_CORRECTION, **fields: Any) -> Bench:
+    """A bench without SYNC whose module computes with this correction."""
+    bench = Bench(sync=False, **fields)
+    if used != NO_CORRECTION:
+        put_in_force(bench.access, used)
     return bench
 
 

@@ -26,7 +26,7 @@ from canfb.commission.commission_run import set_limits
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
-from canfb.master.all_or_nothing import Guard, put_in_force, save
+from canfb.master.all_or_nothing import Guard, save
 from canfb.master.samples import TrackSamples
 from canfb.module.device_configuration import configuration_of, read_configuration, restored_configuration
 from canfb.module.feedback_module import FeedbackModule
@@ -36,7 +36,7 @@ from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.tables import TableFile, TableTasks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from commissioning_kit import MODULE_ID, Bench
+from commissioning_kit import MODULE_ID, Bench, bench_with
 from node_commands import ANSWER, REQUEST, abort
 
 RESET = Frame(0x000, bytes((0x81, MODULE_ID)))
@@ -173,8 +173,7 @@ LIMITS_BEFORE = {Multiplexer(0x2010, 1): 21845, Multiplexer(0x2010, 2): 0.0, Mul
 
 
 def prepared(used: Correction = OLD, *, operational: bool = True, phase_error: int = 819) -> Bench:
-    bench = Bench(sync=False, operational=operational, store=MemoryStore(), config={"coast_samples": 5})
-    put_in_force(bench.access, used)
+    bench = bench_with(used, operational=operational, store=MemoryStore(), config={"coast_samples": 5})
     bench.access.write(*SUPERVISION_PHASE_ERROR, "H", phase_error)
     save(bench.access)
     return bench

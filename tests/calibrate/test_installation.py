@@ -23,20 +23,13 @@ from canfb.cli.printing import Progress
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
-from canfb.master.all_or_nothing import Guard, put_in_force, put_in_force_again, read_active
+from canfb.master.all_or_nothing import Guard, put_in_force_again, read_active
 from canfb.master.samples import TrackSamples
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
-from commissioning_kit import Bench, random_encoder, recorded
+from commissioning_kit import Bench, bench_with, random_encoder, recorded
 from node_commands import ANSWER, between, place_of
 
 AS_BEFORE = "the previous table and conditioning are active in module 32 (20h)"
-
-
-def prepared(old: Correction, **options: Any) -> Bench:
-    bench = Bench(sync=False, **options)
-    if old != NO_CORRECTION:
-        put_in_force(bench.access, old)
-    return bench
 
 
 @pytest.fixture
@@ -54,14 +47,14 @@ def test_the_new_set_is_in_force_proven_and_saved(
     installed: Callable[..., Installation], measured: Measurement, old: Correction
 ) -> None:
     store = MemoryStore()
-    bench = prepared(old, store=store)
+    bench = bench_with(old, store=store)
     done = installed(bench)
     assert read_active(bench.access) == measured.found
     assert bench.module.chain.correction.table == measured.calibration.table
     assert done.saved_as == "1010:04"
     assert done.fresh is not None
     assert 0.5 < done.fresh.rms / measured.calibration.residual_rms < 1.3
-    again = prepared(NO_CORRECTION, store=store)
+    again = bench_with(store=store)
     assert read_active(again.access) == measured.found, "after the power was off"
     assert done.phase_error_cycles is not None
     assert done.phase_error_cycles == pytest.approx(max(0.005, 2.0 * done.fresh.peak), abs=1 / 65536)
@@ -73,7 +66,7 @@ def test_what_is_not_saved_is_active_and_said(
     installed: Callable[..., Installation], measured: Measurement, old: Correction
 ) -> None:
     store = MemoryStore()
-    bench = prepared(old, store=store)
+    bench = bench_with(old, store=store)
     done = installed(bench, keep=False)
     assert done.saved_as is None
     assert store.images == {}
@@ -100,7 +93,7 @@ def lying(bench: Bench, place: tuple[int, int], times: int) -> None:
 def test_a_wrong_crc_of_the_staged_table_activates_nothing(
     installed: Callable[..., Installation], old: Correction
 ) -> None:
-    bench = prepared(old)
+    bench = bench_with(old)
     lying(bench, (0x2020, 2), 1)
     with pytest.raises(CommissioningError, match="CRC of the staged table is 04030201h") as error:
         installed(bench)
@@ -112,7 +105,7 @@ def test_a_wrong_crc_of_the_staged_table_activates_nothing(
 def test_an_interruption_leaves_the_old_set(
     number: int, installed: Callable[..., Installation], old: Correction
 ) -> None:
-    bench = prepared(old)
+    bench = bench_with(old)
     guard, said, requests = Guard(), list[str](), list[Frame]()
 
     def spoil(frame: Frame) -> None:
@@ -130,7 +123,7 @@ def test_an_interruption_leaves_the_old_set(
 
 
 def test_put_back_tells_when_it_is_not_what_it_was(old: Correction, measured: Measurement) -> None:
-    bench = prepared(measured.found)
+    bench = bench_with(measured.found)
     lying(bench, (0x2020, 4), 100)
     with pytest.raises(CommissioningError, match="CRC of the active table is 04030201h"):
         put_in_force_again(bench.access, old)

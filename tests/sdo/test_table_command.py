@@ -16,7 +16,7 @@ from canfb.master.all_or_nothing import put_in_force, read_active
 from canfb.sdo.tables import as_yaml, difference, read_table
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
-from commissioning_kit import MODULE_ID, OTHER, PHASES, TABLE, Bench, running
+from commissioning_kit import MODULE_ID, OTHER, PHASES, TABLE, Bench, bench_with, running
 from documentation import blocks, commands, page
 from node_commands import Commands, interrupt, refuse_once
 
@@ -33,19 +33,13 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def bench_with(before: Correction = NO_CORRECTION, store: MemoryStore | None = None) -> Bench:
-    bench = Bench(sync=False, store=store)
-    put_in_force(bench.access, before)
-    return bench
-
-
 def in_force(bench: Bench) -> Correction:
     """What the module computes with."""
     return bench.module.chain.correction
 
 
 def test_upload_stages_and_activate_puts_in_force(canfb: Commands, file: Path) -> None:
-    bench = bench_with(OLD, MemoryStore())
+    bench = bench_with(OLD, store=MemoryStore())
     out, _ = canfb(bench, "table", "write", NODE, file)
     assert "staged in module 32 (20h), not in force yet: canfb table activate 0x20" in out
     assert "positions move by at most 0.03 cycle (10.8° of the cycle; 16″ of the shaft)" in out
@@ -121,7 +115,7 @@ def test_a_full_disk_is_named_and_the_old_table_is_in_force(
     canfb: Commands, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = MemoryStore()
-    bench = bench_with(OLD, store)
+    bench = bench_with(OLD, store=store)
     canfb(bench, "table", "clear", NODE, "--save")
     put_in_force(bench.access, OLD)
 
@@ -265,7 +259,7 @@ def test_what_waits_is_not_taken_for_what_is_in_force(canfb: Commands, file: Pat
 
 
 def test_an_activation_that_fails_leaves_what_waits(canfb: Commands, file: Path) -> None:
-    bench = bench_with(OLD, MemoryStore())
+    bench = bench_with(OLD, store=MemoryStore())
     canfb(bench, "table", "write", NODE, file)
     refuse_once(bench, (0x2020, 3), 1)
     canfb(bench, "table", "activate", NODE, code=1)
