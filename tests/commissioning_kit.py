@@ -155,12 +155,11 @@ def recorded(
     n: int,
     rpm: float = 600.0,
     start_s: float = 0.0,
-    rate_hz: float = RATE_HZ,
     seed: int = 5,
 ) -> TrackSamples:
     """Samples of a machine that turns at about ``rpm``, without a bus."""
     motion = Motion((), (Ripple(0.02 * rpm, 0.31), Ripple(0.01 * rpm, 1.7)), rpm)
-    times = start_s + np.arange(n) / rate_hz
+    times = start_s + np.arange(n) / RATE_HZ
     position = np.array([motion.revolutions(float(time)) for time in times]) * CYCLES
     sine, cosine = encoder.sample(position, np.random.default_rng(seed))
-    return TrackSamples.of(sine, cosine, rate_hz, "a simulated machine")
+    return TrackSamples.of(sine, cosine, RATE_HZ, "a simulated machine")

@@ -27,13 +27,13 @@ BEFORE = {
 }  # fmt: skip
 
 
-def duty(top_rpm: float, ramp_s: float, times: int = 40, ripples: tuple[Ripple, ...] = ()) -> Motion:
-    """Standing, running forwards, standing, running backwards, again and again."""
+def duty(top_rpm: float, ramp_s: float, ripples: tuple[Ripple, ...] = ()) -> Motion:
+    """Standing, running forwards, standing, running backwards, forty times."""
     one = (
         Ramp(0.2, 0.0), Ramp(ramp_s, top_rpm), Ramp(0.4, top_rpm), Ramp(ramp_s, 0.0),
         Ramp(0.2, 0.0), Ramp(ramp_s, -0.7 * top_rpm), Ramp(0.3, -0.7 * top_rpm), Ramp(ramp_s, 0.0),
     )  # fmt: skip
-    return Motion(one * times, ripples)
+    return Motion(one * 40, ripples)
 
 
 def correction_of(encoder: Encoder) -> Correction:

@@ -45,14 +45,14 @@ def table_error(
     return error - error.mean()
 
 
-def wandering(rpm: float, rng: np.random.Generator, seconds: float = 20.0, part: float = 0.03) -> FloatArray:
-    """Positions in cycles at the SYNC rate: a speed that wanders by ``part``."""
+def wandering(rpm: float, rng: np.random.Generator, seconds: float = 20.0) -> FloatArray:
+    """Positions in cycles at the SYNC rate: a speed that wanders by 3 %."""
     time = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     swing = sum(
         rng.uniform(0.3, 1.0) * np.sin(2.0 * np.pi * (f * time + rng.uniform()))
         for f in rng.uniform(0.1, 3.0, 5)
     )
-    speed = rpm / 60.0 * CYCLES_PER_REVOLUTION * (1.0 + part * swing / np.abs(swing).max())
+    speed = rpm / 60.0 * CYCLES_PER_REVOLUTION * (1.0 + 0.03 * swing / np.abs(swing).max())
     return np.cumsum(speed) / RATE_HZ
 
 
@@ -83,11 +83,10 @@ def measured(
     rpm: float,
     seconds: float = 10.0,
     kind: Callable[[np.random.Generator, float], Encoder] = random_encoder,
-    noise_lsb: float = 0.5,
 ) -> tuple[Encoder, IntArray, IntArray]:
     """An encoder drawn at random, and its counts at a speed that wanders."""
     rng = np.random.default_rng(seed)
-    encoder = kind(rng, noise_lsb)
+    encoder = kind(rng, 0.5)
     return encoder, *encoder.sample(wandering(rpm, rng, seconds), rng)
 
 

@@ -394,8 +394,8 @@ def _reason(sine, cosine, method=calibrate_from_motion, **options) -> str:
     return error.reason
 
 
-def _tracks(position: FloatArray, seed: int = 1, noise_lsb: float = 0.5):
-    rng = np.random.default_rng(seed)
+def _tracks(position: FloatArray, noise_lsb: float = 0.5):
+    rng = np.random.default_rng(1)
     return random_encoder(rng, noise_lsb).sample(position, rng)
 
 

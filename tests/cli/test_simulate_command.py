@@ -133,8 +133,8 @@ def parsed(drive: str, modules: str = MODULES) -> Config:
     return parse_config(f"{modules}simulation:\n  drive: {drive}\n", "drive.yaml")
 
 
-def axis_of(config: Config, module: int = 0) -> object:
-    return simulated_axis(config.simulation, config.modules[module], autostart=True)
+def axis_of(config: Config) -> object:
+    return simulated_axis(config.simulation, config.modules[0], autostart=True)
 
 
 def test_the_yaml_of_the_page_is_a_drive() -> None:

@@ -53,15 +53,15 @@ def test_beyond_13_startup_bits_not_supported(tester: Tester, bit: int) -> None:
     assert tester.read(0x1F80) == before
 
 
-def moved(tester: Tester, index: int, sub: int, new: int, *, flag: int = INVALID) -> None:
-    """A new CAN-ID is refused while the object is in use, taken with the flag, and then used."""
+def moved(tester: Tester, index: int, sub: int, new: int) -> None:
+    """A new CAN-ID is refused while the object is in use, taken while it is invalid, and then used."""
     before = tester.read(index, sub)
-    assert not before & INVALID or flag != INVALID
+    assert not before & INVALID
     request = f"23 {m(index, sub)} {little(new, 4)}"
     tester.refuse(request, "06090030")
     assert tester.read(index, sub) == before
-    tester.accept(f"23 {m(index, sub)} {little(before | flag, 4)}")
-    tester.accept(f"23 {m(index, sub)} {little(new | flag, 4)}")
+    tester.accept(f"23 {m(index, sub)} {little(before | INVALID, 4)}")
+    tester.accept(f"23 {m(index, sub)} {little(new | INVALID, 4)}")
     tester.accept(request)
     assert tester.read(index, sub) == new
 

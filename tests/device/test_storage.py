@@ -185,10 +185,10 @@ def all_values(bench: StoringBench) -> dict[tuple[int, int], object]:
     return {(entry.index, entry.subindex): entry.value for entry in bench.dictionary}
 
 
-def powered(path: Path, image: bytes | None, group: ParameterGroup = GROUP) -> StoringBench:
+def powered(path: Path, image: bytes | None) -> StoringBench:
     store = MemoryStore()
     if image is not None:
-        store.images[group] = image
+        store.images[GROUP] = image
     bench = StoringBench(path, store)
     assert bench.first[0] == "720#00"
     return bench
@@ -204,13 +204,13 @@ def saved(path: Path) -> MemoryStore:
     return store
 
 
-def is_refused(path: Path, image: bytes, reason: str = "", group: ParameterGroup = GROUP) -> bool:
-    bench = powered(path, image, group)
+def is_refused(path: Path, image: bytes, reason: str = "") -> bool:
+    bench = powered(path, image)
     if all_values(bench) != all_values(powered(path, None)):
         return False
     (faults,) = bench.faults
-    assert list(faults) == [group]
-    assert reason in faults[group]
+    assert list(faults) == [GROUP]
+    assert reason in faults[GROUP]
     return True
 
 

@@ -77,8 +77,8 @@ def test_the_frames_are_those_of_python_can(
     assert len(list(BusLogFile(path, others=True))) == len(everything)
 
 
-def frames_of(number: int, period_s: float = 1e-3) -> list[tuple[float, int, bytes]]:
-    return [(n * period_s, 0x80 + n % 3, bytes([n % 256, 0xEC])) for n in range(number)]
+def frames_of(number: int) -> list[tuple[float, int, bytes]]:
+    return [(n * 1e-3, 0x80 + n % 3, bytes([n % 256, 0xEC])) for n in range(number)]
 
 
 def line_of(suffix: str, at: float, can_id: int, data: bytes) -> str:

@@ -243,10 +243,10 @@ def _size(thing: object, seen: set[int]) -> int:
     return sys.getsizeof(thing) + sum(_size(one, seen) for one in inner)
 
 
-def shown(module: FeedbackModule, syncs: int = 50, noise: int | None = None) -> ModuleSnapshot:
+def shown(module: FeedbackModule, noise: int | None = None) -> ModuleSnapshot:
     """With a SYNC of 1 kHz on the bus; ``noise`` is read by SDO, 1/65536 cycle."""
     model = BusModel(known_layouts(Config(modules=[module.config])))
-    for k in range(syncs):
+    for k in range(50):
         model.receive(Frame(0x80, b""), k * 1e-3)
         model.receive(Frame(0x180 + NODE, struct.pack("<IHH", 0, 1, 0)), k * 1e-3 + 5e-4)
     if noise is not None:

@@ -37,12 +37,10 @@ def lost() -> BusSnapshot:
     return network.model.snapshot(network.bus.now)
 
 
-def printed(
-    snapshot: BusSnapshot, size: tuple[int, int], units: MachineUnits | None = None, plain: bool = False
-) -> list[str]:
+def printed(snapshot: BusSnapshot, size: tuple[int, int], plain: bool = False) -> list[str]:
     console = Console(width=size[0], height=size[1], color_system=None, force_terminal=True)
     with console.capture() as captured:
-        console.print(Page(snapshot, units or MachineUnits(), "canfb monitor", plain=plain), height=size[1])
+        console.print(Page(snapshot, MachineUnits(), "canfb monitor", plain=plain), height=size[1])
     lines = captured.get().rstrip("\n").splitlines()
     assert len(lines) <= size[1]
     assert max(map(len, lines)) <= size[0]

@@ -47,9 +47,9 @@ def numbers(samples: Iterable[Sample | None]) -> list[list[int]]:
     return [[int(one.sine), *(int(sine) for sine, _ in one.earlier)] for one in samples if one is not None]
 
 
-def even(count: int, period_s: float = SYNC_S, jitter_s: float = 0.0, seed: int = 3) -> list[float]:
-    rng = random.Random(seed)
-    return [n * period_s + rng.uniform(0.0, jitter_s) for n in range(1, count + 1)]
+def even(count: int, jitter_s: float = 0.0) -> list[float]:
+    rng = random.Random(3)
+    return [n * SYNC_S + rng.uniform(0.0, jitter_s) for n in range(1, count + 1)]
 
 
 @pytest.mark.parametrize(("per_sync", "scans"), [(1, 8), (2, 2), (2, 8), (3, 6), (4, 8), (4, 64)])
