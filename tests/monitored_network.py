@@ -28,22 +28,14 @@ RPM = 63.7
 PERIOD_S = 1e-3
 
 
-class Spoiled:
+class Spoiled(MotionSource):
     """A motion that loses samples while ``lost`` is set."""
 
-    def __init__(self, motion: MotionSource) -> None:
-        self._motion = motion
-        self.lost = False
+    lost = False
 
-    def next(self) -> Sample | None:
-        return self._motion.next()
-
-    def sample_at(self, now: float) -> Sample | None:
-        sample = self._motion.sample_at(now)
+    def sample_at(self, now: float) -> Sample | None:  # type: ignore[override]
+        sample = super().sample_at(now)
         return None if self.lost else sample
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._motion, name)
 
 
 class MonitoredNetwork:
@@ -62,7 +54,7 @@ class MonitoredNetwork:
         configs = [canfb.ModuleConfig(node_id=node, autostart=True, **fields) for node in nodes]
         self.modules = [canfb.FeedbackModule(config) for config in configs]
         shaft = ShaftEncoder(demo_encoder(), 2500, 1, 0.0)
-        self.source = Spoiled(MotionSource(shaft, Motion((Ramp(0.2, 0.0), Ramp(0.5, RPM)), ()), PERIOD_S))
+        self.source = Spoiled(shaft, Motion((Ramp(0.2, 0.0), Ramp(0.5, RPM)), ()), PERIOD_S)
         self.interface = EncoderInterface(INTERFACE, self.source, autostart=True)
         self.model = BusModel(
             known_layouts(Config(modules=configs), known) if known else [],
