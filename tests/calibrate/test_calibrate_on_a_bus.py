@@ -234,7 +234,7 @@ SESSION_HZ = 100.0
     ("per_sync", "more", "within_s"), [(1, (), 110.0), (2, ("--least-samples", "3000"), 50.0)]
 )
 def test_it_is_measured_proven_and_active_and_still_right_ten_seconds_later(
-    per_sync: int, more: tuple[str, ...], within_s: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    per_sync: int, more: tuple[str, ...], within_s: float, tmp_path: Path, figures_of: Any
 ) -> None:
     """After ten seconds of the first session; 8000 samples, and 1500 to prove it."""
     text = EXAMPLE.replace("    times: true", f"    samples_per_sync: {per_sync}\n    times: true", 1)
@@ -252,11 +252,10 @@ def test_it_is_measured_proven_and_active_and_still_right_ten_seconds_later(
         bus.attach(device)
     bus.send(Frame(0x000, b"\x01\x00"))
     bus.run_until(10.0)
-    words = ("feedback.yaml", "--out", str(tmp_path / "measured"), "--json", *more)
-    assert command(master, *words, config=config) == 0
+    words = ("feedback.yaml", "--out", str(tmp_path / "measured"), *more)
+    figures = figures_of(master, *words, act=command, config=config)
     assert bus.now - 10.0 < within_s
     assert module.limits.samples_per_sync == per_sync
-    figures = json.loads(capsys.readouterr().out)
     assert figures["accepted"]
     assert figures["active"]
     assert figures["before_rms_cycles"] > 0.005

@@ -17,9 +17,10 @@ from canfb.cia301.frame import Frame
 from canfb.cli import node_command, node_options
 from canfb.cli.aliases import current
 from canfb.cli.config_file import EXAMPLE
-from canfb.cli.main import build_parser, main
+from canfb.cli.main import build_parser
 from canfb.hosting import hosting, serving
 from canfb.simulation.embedded_bus import EmbeddedBus
+from commands import Command
 from commissioning_kit import EmbeddedMaster
 from documentation import blocks, page
 
@@ -35,16 +36,13 @@ class GuideNetwork:
     """The bus of a page, and its folder, which is the working directory."""
 
     def __init__(
-        self,
-        monkeypatch: pytest.MonkeyPatch,
-        capsys: pytest.CaptureFixture[str],
-        resources: contextlib.ExitStack,
+        self, monkeypatch: pytest.MonkeyPatch, command: Command, resources: contextlib.ExitStack
     ) -> None:
         self.bus = EmbeddedBus()
         self.master = EmbeddedMaster(self.bus)
         self._attached: list[list[Any]] = []
         self.is_limited = False
-        self._capsys = capsys
+        self._command = command
         network = self
 
         class Attaching:
@@ -97,9 +95,7 @@ class GuideNetwork:
         assert name == "canfb"
         self.is_limited = "--seconds" in words
         words += FEWER if words[0] == "calibrate" and "--samples" not in words else ()
-        self._capsys.readouterr()
-        assert main(words) == 0, (line, self._capsys.readouterr())
-        said = self._capsys.readouterr()
+        said = self._command("", *words)
         if file:
             Path(file.strip()).write_text(said.out)
         return said.out + said.err
@@ -221,13 +217,11 @@ def runs(line: str) -> bool:
 
 
 @pytest.fixture
-def network(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Iterator[GuideNetwork]:
+def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command) -> Iterator[GuideNetwork]:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "docs").symlink_to(ROOT / "docs")
     with contextlib.ExitStack() as resources:
-        yield GuideNetwork(monkeypatch, capsys, resources)
+        yield GuideNetwork(monkeypatch, command, resources)
 
 
 def play(network: GuideNetwork, *pages: str) -> None:

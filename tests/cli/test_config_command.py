@@ -16,7 +16,6 @@ import canfb
 from canfb.bus.opening import check_words
 from canfb.cia301.frame import Frame
 from canfb.cli import config_file
-from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.demo.story import EmbeddedNetwork
 from canfb.device.od.dcf import decode_concise
@@ -187,12 +186,12 @@ YAML = "bus: {bitrate: 500000}\nmodules: [{node_id: 0x20, adc_bits: 16, conditio
 
 
 def test_commands_and_examples_make_the_module_of_the_configuration(
-    yaml: Path, monkeypatch: pytest.MonkeyPatch
+    yaml: Path, monkeypatch: pytest.MonkeyPatch, command: Command
 ) -> None:
     yaml.write_text(YAML)
     assert [words[:2] for words in COMMANDS] == [["config", "dcf"]] * 3
     for words in COMMANDS[:2]:
-        assert main(words) == 0
+        command("", *words)
     network = Peer(ModuleConfig(node_id=0x20), MemoryStore())
     monkeypatch.setattr(canopen, "Network", lambda: network)
     names: dict[str, Any] = {}
@@ -202,7 +201,7 @@ def test_commands_and_examples_make_the_module_of_the_configuration(
 
     # The third command reads the module; the second example writes what it has read.
     monkeypatch.setattr(config_file, "master_of", lambda options: network)
-    assert main(COMMANDS[2]) == 0
+    command("", *COMMANDS[2])
     fresh = Peer(ModuleConfig(node_id=0x20), MemoryStore())
     names["node"] = fresh.add_node(0x20, canopen.import_od("module-20h.dcf"))
     exec(compile(EXAMPLES[1], "docs/storage.md", "exec"), names)
