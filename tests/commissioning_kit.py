@@ -16,9 +16,10 @@ from canfb.master.all_or_nothing import put_in_force
 from canfb.master.samples import TrackSamples
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
+from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.simulation.embedded_bus import REGULAR, EmbeddedBus, SyncProducer, SyncTiming
 from canfb.simulation.encoder import Encoder, Harmonic, Motion, MotionSource, Ripple, ShaftEncoder
+from ideal_tracks import wavy_table
 from played import Changing
 from tools.soak import embedded_master
 
@@ -26,9 +27,7 @@ MODULE_ID, INTERFACE_ID = 0x20, 0x10
 RATE_HZ = 1000.0
 CYCLES = 2500
 ANSWER_S = 0.05
-PHASES = np.arange(64) / 64
-TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
-OTHER = CorrectionTable(PHASES - 0.02 * np.sin(2 * np.pi * PHASES))
+TABLE, OTHER = wavy_table(), wavy_table(amplitude=-0.02)
 
 
 def random_encoder(seed: int) -> Encoder:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import numpy as np
 import pytest
 from calibrating import calibrate
 
 from canfb.calibrate.measurement import Measurement, Settings, measure
 from canfb.master.samples import TrackSamples
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.correction import Correction
 from commissioning_kit import random_encoder, recorded
+from ideal_tracks import wavy_table
 
 SETTINGS = Settings(entries=64, adc_bits=12)
 
@@ -37,9 +37,7 @@ def fresh() -> TrackSamples:
 @pytest.fixture(scope="session")
 def old() -> Correction:
     """What was active before: some other table and conditioning."""
-    x = np.arange(32) / 32
-    table = CorrectionTable(x + 0.01 * np.sin(2 * np.pi * x))
-    return Correction(table, Conditioning(4.0, -2.5, 1.0, 0.984375, 0.0078125))
+    return Correction(wavy_table(32), Conditioning(4.0, -2.5, 1.0, 0.984375, 0.0078125))
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from canfb.calibrate.measurement import Measurement, Settings
@@ -37,6 +36,7 @@ from canfb.sdo.tables import TableFile, TableTasks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, Bench, bench_with
+from ideal_tracks import wavy_table
 from node_commands import ANSWER, REQUEST, abort
 
 RESET = Frame(0x000, bytes((0x81, MODULE_ID)))
@@ -163,10 +163,7 @@ def requests(fault: str, last: int, step: int) -> range:
     return range(1, last + 1) if EVERY else range(1 + Adversary.FAULTS.index(fault), last + 1, step)
 
 
-PHASES = np.arange(16) / 16
-NEW = Correction(
-    CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES)), Conditioning(sine_offset_counts=3.5)
-)
+NEW = Correction(wavy_table(16), Conditioning(sine_offset_counts=3.5))
 OLD = Correction(CorrectionTable.identity(16), Conditioning(sine_gain=1.25))
 LIMITS = {Multiplexer(0x2010, 1): 9000, Multiplexer(0x2010, 2): 12.5, Multiplexer(0x2010, 4): 3}
 LIMITS_BEFORE = {Multiplexer(0x2010, 1): 21845, Multiplexer(0x2010, 2): 0.0, Multiplexer(0x2010, 4): 0}

@@ -17,14 +17,13 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import can
-import numpy as np
 import pytest
 
 from canfb.bus.opening import open_bus
 from canfb.cia301 import cob
 from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS
-from canfb.signal.correction import CorrectionTable
 from commands import Command
+from ideal_tracks import wavy_table
 from processes import Process
 
 PATIENCE_S = 120.0
@@ -99,7 +98,7 @@ def test_its_page_is_served(started: Started, own_folder: Path) -> None:
     assert list(own_folder.iterdir()) == []
 
 
-TABLE = CorrectionTable(np.arange(64) / 64 + 0.002 * np.sin(2 * np.pi * np.arange(64) / 64))
+TABLE = wavy_table(amplitude=0.002)
 
 
 @pytest.fixture

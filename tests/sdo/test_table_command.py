@@ -16,8 +16,9 @@ from canfb.master.all_or_nothing import put_in_force, read_active
 from canfb.sdo.tables import as_yaml, difference, read_table
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
-from commissioning_kit import MODULE_ID, OTHER, PHASES, TABLE, Bench, bench_with, running
+from commissioning_kit import MODULE_ID, OTHER, TABLE, Bench, bench_with, running
 from documentation import blocks, commands, page
+from ideal_tracks import wavy_table
 from node_commands import Commands, interrupt, refuse_once
 
 NODE = hex(MODULE_ID)
@@ -90,7 +91,7 @@ def test_show_before_and_after_a_save(canfb: Commands, file: Path) -> None:
 def test_show_has_the_figures_of_the_table(canfb: Commands, file: Path) -> None:
     bench = bench_with(NEW)
     of_module = canfb(bench, "table", "show", NODE, "--json").json
-    rms = float(np.sqrt(np.mean((TABLE.entries - PHASES) ** 2)))
+    rms = float(np.sqrt(np.mean((TABLE.entries - np.arange(64) / 64) ** 2)))
     assert of_module["deviation_rms_cycles"] == pytest.approx(rms)
     assert of_module["deviation_peak_degrees"] == pytest.approx(3.6, rel=1e-3)
     assert (of_module["crc32"], of_module["entries"]) == (f"{TABLE.crc32:08X}", 64)
@@ -212,11 +213,7 @@ bumps = st.floats(-0.1875, 0.1875, width=32)
 
 @given(st.integers(16, 200), bumps, st.floats(0.5, 2.0, width=32), bumps)
 def test_any_table_file_comes_back(n: int, bump: float, gain: float, offset: float) -> None:
-    raw = np.arange(n) / n
-    used = Correction(
-        CorrectionTable(raw + bump / 7 * np.sin(2 * np.pi * raw)),
-        Conditioning(sine_offset_counts=offset, sine_gain=gain),
-    )
+    used = Correction(wavy_table(n, bump / 7), Conditioning(sine_offset_counts=offset, sine_gain=gain))
     text = as_yaml(used, {"cycles_per_revolution": n})
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.yaml"
@@ -227,8 +224,7 @@ def test_any_table_file_comes_back(n: int, bump: float, gain: float, offset: flo
 
 @given(st.integers(16, 300), bumps)
 def test_the_deviation_of_a_table(n: int, bump: float) -> None:
-    raw = np.arange(n) / n
-    table = CorrectionTable(raw + bump / 7 * np.sin(2 * np.pi * raw))
+    table = wavy_table(n, bump / 7)
     rms, peak = difference(table, None)
     assert rms == pytest.approx(abs(bump) / 7 / np.sqrt(2), abs=1e-6)
     assert rms <= peak + 1e-12

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import can
-import numpy as np
 import pytest
 from network import (
     ADC_COB_ID,
@@ -32,7 +31,7 @@ from network import (
 from pace import Pace
 
 from canfb.objects import StatusBit
-from canfb.signal.correction import CorrectionTable
+from ideal_tracks import wavy_table
 from processes import Process
 
 MOTION = "{standstill_s: 0.01, ramp_s: 0.5, rpm: 60}"
@@ -87,8 +86,7 @@ def starts_reads_uploads_and_hears(master: Master, pace: Pace) -> None:
         positions.append(position)
     assert module.sdo[0x6004].raw == positions[-1]
 
-    x = np.arange(256) / 256
-    table = CorrectionTable(x + 0.01 * np.sin(2 * np.pi * x))
+    table = wavy_table(256)
     module.sdo.download(0x2020, 1, table.to_bytes())
     assert module.sdo[0x2020][2].raw == table.crc32
     module.sdo[0x2020][3].raw = table.crc32
