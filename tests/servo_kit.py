@@ -5,19 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from canfb.signal.correction import CorrectionTable
-from canfb.signal.phase import phase_in_cycle
+from tools.faults.machine import Array, exact_table
 
-Array = npt.NDArray[np.float64]
 CYCLES_PER_REVOLUTION, RATE_HZ = 2500, 1000
-TURN = np.arange(4096) / 4096
-IDEAL_TABLE = CorrectionTable(
-    np.interp(
-        np.arange(1024) / 1024, phase_in_cycle(np.sin(2 * np.pi * TURN), np.cos(2 * np.pi * TURN)), TURN
-    )
-)
+IDEAL_TABLE = exact_table()
 
 
 def cycles_of(rad: float) -> float:
