@@ -17,6 +17,7 @@ from canfb.simulation.encoder import Encoder, Motion, MotionSource, ShaftEncoder
 from canfb.sources.protocol import Source
 from drawing import examples
 from folding import each
+from ideal_tracks import counts_at
 from played import Listed, repeated
 
 NODE, TPDO1 = 16, 0x190
@@ -113,11 +114,7 @@ def test_the_machine_is_sampled_at_the_true_time_of_each_sync() -> None:
     for now, cycles in ((5.0, 0.0), (5.0009, 0.09), (5.0021, 0.21), (5.5, 50.0), (5.5011, 50.11)):
         (frame,) = interface.receive(SYNC._replace(timestamp=now), now + 0.0003)
         assert source.position_cycles == pytest.approx(cycles)
-        angle = 2 * math.pi * cycles
-        assert struct.unpack("<hh", frame.data) == (
-            round(1000 * math.sin(angle)),
-            round(1000 * math.cos(angle)),
-        )
+        assert struct.unpack("<hh", frame.data) == counts_at(cycles, 1000.0)
     several = operational(source, samples_per_sync=2)
     for now in (6.0, 6.001, 6.002, 7.0):  # no samples far apart, nor one of long ago
         several.receive(SYNC, now)
