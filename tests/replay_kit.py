@@ -17,7 +17,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.module_replay import ModuleReplay
-from fake_bus import FakeClock
+from fake_bus import FakeBus, FakeClock, message
 from ideal_tracks import counts_at
 
 EPOCH_S = 1e6  # as a monotonic clock: near 1.7e9 a float is exact to 0.24 us only, and periods differ by it
@@ -27,35 +27,28 @@ SYNC_ID, ADC_ID, POSITION_ID = 0x80, 0x190, 0x1A0
 Planned = tuple[float, Frame]
 
 
-class NotingBus:
-    """Gives the planned frames at their times, and notes these and what is sent, in the order of the bus."""
+class NotingBus(FakeBus):
+    """Notes the planned frames at their times, and what is sent, in the order of the bus."""
 
     def __init__(self, clock: FakeClock, plan: Sequence[Planned]) -> None:
-        self.clock = clock
-        self.plan = [(EPOCH_S + at, frame) for at, frame in plan]
-        self.next = 0
+        super().__init__(clock, [(at, as_message(frame)) for at, frame in plan])
         self.log: list[Frame] = []
-        self.sent: list[Frame] = []
+        self.answers: list[Frame] = []
 
-    @property
-    def over(self) -> bool:
-        return self.next == len(self.plan)
-
-    def recv(self, timeout: float) -> can.Message | None:
-        if not self.over and self.plan[self.next][0] <= self.clock.now + timeout:
-            at, frame = self.plan[self.next]
-            self.next += 1
-            self.clock.now = max(self.clock.now, at)
-            frame = frame._replace(timestamp=self.clock.now)
-            self.log.append(frame)
-            return as_message(frame)
-        self.clock.now += timeout
-        return None
-
-    def send(self, message: can.Message) -> None:
+    def _note(self, message: can.Message) -> Frame:
+        message.timestamp = self.clock.now
         frame = Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, self.clock.now)
         self.log.append(frame)
-        self.sent.append(frame)
+        return frame
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        message = super().recv(timeout)
+        if message is not None:
+            self._note(message)
+        return message
+
+    def send(self, message: can.Message) -> None:
+        self.answers.append(self._note(message))
 
 
 def live(
@@ -68,8 +61,8 @@ def live(
     module = FeedbackModule(config(**fields), store)
     frame_bus = PythonCanBus(bus)  # type: ignore[arg-type]
     runner = Runner(frame_bus, [module], lambda line: None, clock=clock, sleep=lambda s: None, wall=clock)
-    runner.run(finished=lambda: bus.over)
-    return bus.log, bus.sent
+    runner.run(finished=lambda: not bus.plan)
+    return bus.log, bus.answers
 
 
 def config(**fields: Any) -> ModuleConfig:
@@ -91,14 +84,8 @@ def replayed(
 
 
 def as_message(frame: Frame) -> can.Message:
-    return can.Message(
-        timestamp=frame.timestamp or 0.0,
-        arbitration_id=frame.can_id,
-        data=frame.data,
-        is_remote_frame=frame.rtr,
-        is_extended_id=False,
-        channel=0,
-    )
+    at_s = frame.timestamp or 0.0
+    return message(frame.can_id, frame.data, timestamp=at_s, is_remote_frame=frame.rtr, channel=0)
 
 
 def write_log(path: Path, frames: Sequence[Frame]) -> Path:
