@@ -224,7 +224,6 @@ class LifeCycle(Reactions):
 
     def power_on(self, now: float) -> None:
         self.node_id_at_power_on()
-        self._change_node_id(now)
         self._boot(False, now)
 
     def node_id_at_power_on(self) -> int:
@@ -233,17 +232,14 @@ class LifeCycle(Reactions):
         self.lss.power_on()
         return self.lss.pending_node_id
 
-    def _change_node_id(self, now: float) -> None:
-        old, new = self.core.node_id, self.lss.pending_node_id
-        if new == old:
-            return
-        self.enter(NmtState.INITIALISING, now)
-        self.core.node_id = new
-        self.core.dictionary.change_node_id(old, new)
-        self._make_services()
-
     def _boot(self, communication_only: bool, now: float) -> None:
-        """On from INITIALISING, unless there is no node-ID yet."""
+        """With the pending node-ID, and on from INITIALISING, unless there is no node-ID yet."""
+        old, new = self.core.node_id, self.lss.pending_node_id
+        if new != old:
+            self.enter(NmtState.INITIALISING, now)
+            self.core.node_id = new
+            self.core.dictionary.change_node_id(old, new)
+            self._make_services()
         self.lss.reset()
         if self.core.node_id == UNCONFIGURED:
             self.services.forget()
@@ -286,7 +282,6 @@ class LifeCycle(Reactions):
     def reset(self, communication_only: bool, now: float) -> None:
         last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
         self.core.dictionary.reset(0x1000, last)
-        self._change_node_id(now)
         self._boot(communication_only, now)
 
     # Reactions
@@ -327,5 +322,4 @@ class LifeCycle(Reactions):
     def lss_left(self, now: float) -> None:
         """A first node-ID is in force at once."""
         if self.core.node_id == UNCONFIGURED != self.lss.pending_node_id:
-            self._change_node_id(now)
             self._boot(False, now)
