@@ -318,16 +318,14 @@ class EmbeddedBus:
         self._participants.append(participant)
         if isinstance(participant, Computing):
             self._computing.append((participant, participant))
-        self._put(participant, participant.start(self.now))
-        self._deliver()
+        self._deliver(participant, participant.start(self.now))
 
     def send(self, frame: Frame) -> None:
         """Send a frame from outside; everything it causes happens before the return.
 
         With a bit rate time passes until the bus is idle, at most 1 s, but not from within a participant.
         """
-        self._put(None, [frame])
-        self._deliver()
+        self._deliver(None, [frame])
         if self._wire is not None and not self._running:
             self._run(self.now + LONGEST_WAIT_S, until_idle=True)
 
@@ -348,8 +346,7 @@ class EmbeddedBus:
                     break
                 self.now = at
                 if first is not None:
-                    self._put(first, first.tick(at))
-                    self._deliver()
+                    self._deliver(first, first.tick(at))
                 elif wire is not None and (ended := wire.advance(at)) is not None:
                     self._hand_out(*ended)
                     self._compute()
@@ -369,7 +366,9 @@ class EmbeddedBus:
             for frame in frames:
                 self._wire.put(frame, sender)
 
-    def _deliver(self) -> None:
+    def _deliver(self, sender: Device | None, frames: list[Frame]) -> None:
+        """These frames, and all that they cause."""
+        self._put(sender, frames)
         queue = self._queue
         while queue:
             sender, frame = queue.popleft()
