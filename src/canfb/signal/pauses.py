@@ -28,16 +28,15 @@ class Pauses:
         # The speed at a reset, cycles per interval; inf: the position was lost, and the machine may turn.
         self.turned = 0.0
 
+    # :class:`canfb.signal.chain.SignalChain` says what both are.
+
     def slips(self, intervals: float) -> bool:
-        """Within these intervals the machine moves so far that its phase could mislead."""
         return self._moves(intervals, LARGEST_SLIP_CYCLES)
 
     def displaces(self, intervals: float) -> bool:
-        """A sample that was taken so much earlier or later is not a good one."""
         declared = self._stages.estimator.declared
-        return self._moves(
-            intervals, LARGEST_SLIP_CYCLES if declared.acceleration is None else declared.phase_error
-        )
+        known = declared.acceleration is not None
+        return self._moves(intervals, declared.phase_error if known else LARGEST_SLIP_CYCLES)
 
     def _moves(self, intervals: float, cycles: float) -> bool:
         estimator = self._stages.estimator
