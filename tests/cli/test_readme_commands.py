@@ -68,14 +68,13 @@ def ten_seconds(
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 SESSION = page("vcan").partition("## Node by node")[2].partition("\n## ")[0]
-FIRST_HOUR = page("first-hour")
 SIMULATION = page("simulation")
 RECORDING = "docs/recording/tracks.csv"
 LIMIT_S = 240.0  # for everything that has to happen in one test; it takes about 15 s
 
 
 def python_blocks() -> list[str]:
-    return blocks(README + FIRST_HOUR, "python")
+    return blocks(README + page("first-hour"), "python")
 
 
 def test_every_python_snippet_is_one_that_a_test_runs() -> None:

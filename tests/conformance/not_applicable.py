@@ -27,9 +27,6 @@ def _lacking(text: str, cases: str, *absent: int, sub: int = 0) -> dict[str, Not
 _NO_RPDO = _lacking(
     "no RPDO", "pdo_01 pdo_27 pdo_28 pdo_29 pdo_33 emcy_04 emcy_05 emcy_06 beyond_11 beyond_21", 0x1400, sub=1
 )
-_NO_CONSUMER = _lacking("no heartbeat consumer: no 1016h", "hb_04 hb_05 hb_06 hb_07", 0x1016, sub=1)
-_NO_CHANNEL = _lacking("no second SDO server: no 1201h", "beyond_09", 0x1201, sub=1)
-_NO_WINDOW = _lacking("no synchronous window: no 1007h", "beyond_18", 0x1007)
 
 NOT_APPLICABLE: dict[str, dict[str, NotApplicable]] = {
     MODULE: {},
@@ -39,9 +36,9 @@ NOT_APPLICABLE: dict[str, dict[str, NotApplicable]] = {
         "od_04": NotApplicable("no write-only entry"),
         "pdo_31": NotApplicable("no mappable object that is only written"),
         **_NO_RPDO,
-        **_NO_CONSUMER,
-        **_NO_CHANNEL,
-        **_NO_WINDOW,
+        **_lacking("no heartbeat consumer: no 1016h", "hb_04 hb_05 hb_06 hb_07", 0x1016, sub=1),
+        **_lacking("no second SDO server: no 1201h", "beyond_09", 0x1201, sub=1),
+        **_lacking("no synchronous window: no 1007h", "beyond_18", 0x1007),
         "beyond_04": NotApplicable("no writable entry of more than one segment"),
     },
 }

@@ -43,9 +43,6 @@ def test_sdo_13_upload_with_a_client_ready_for_segments(tester: Tester) -> None:
     assert tester.upload("00 10 00") == entry.raw(entry.default)
 
 
-TWO_BYTES = [(GUARD_TIME, "E8 03"), (HEARTBEAT, "10 27")]
-
-
 def test_sdo_16_and_18_segmented_upload(tester: Tester) -> None:
     assert tester.upload(NAME) == the_name(tester)
     tester.aborted(tester.ask("60"), None, "05040001")  # the transfer is over: it belongs to none
@@ -68,7 +65,7 @@ def test_sdo_19_block_upload_of_four_bytes(tester: Tester) -> None:
 
 @pytest.mark.parametrize("with_crc", [False, True])
 def test_sdo_20_to_25_block_transfers(tester: Tester, with_crc: bool) -> None:
-    for multiplexer, value in TWO_BYTES:
+    for multiplexer, value in [(GUARD_TIME, "E8 03"), (HEARTBEAT, "10 27")]:
         assert tester.block_download(multiplexer, bytes.fromhex(value), with_crc=with_crc) == "ok"
         assert tester.ask(f"40 {multiplexer}") == filled(f"4B {multiplexer} {value}")
     assert tester.block_upload(NAME, with_crc=with_crc) == the_name(tester)

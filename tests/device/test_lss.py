@@ -83,7 +83,6 @@ def test_another_address_selects_nobody(bench: LssBench, wrong: int) -> None:
 
 # Every command in every state, with and without a node-ID.
 
-ANY: tuple[tuple[LssState, int], ...] = tuple((state, node) for state in LssState for node in (32, NONE))
 CONFIGURATION = [(LssState.CONFIGURATION, node) for node in (32, NONE)]
 WAITING = [(LssState.WAITING, node) for node in (32, NONE)]
 TABLE: list[tuple[tuple[int, ...], list[tuple[LssState, int]], str]] = [
@@ -106,7 +105,7 @@ TABLE: list[tuple[tuple[int, ...], list[tuple[LssState, int]], str]] = [
 
 
 @pytest.mark.parametrize("frame", sorted({frame for frame, _, _ in TABLE}))
-@pytest.mark.parametrize("where", ANY)
+@pytest.mark.parametrize("where", [(state, node) for state in LssState for node in (32, NONE)])
 def test_every_service_in_every_state(
     make: Callable[..., LssBench], where: tuple[LssState, int], frame: tuple[int, ...]
 ) -> None:

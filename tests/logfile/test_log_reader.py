@@ -19,8 +19,6 @@ from canfb.logfile.log_files import LogCounters, LogError
 from drawing import examples
 from fake_bus import message
 
-SUFFIXES = [".log", ".blf", ".asc", ".trc", ".csv", ".log.gz", ".asc.gz"]
-
 
 def of_kind(kind: str, can_id: int, data: bytes, channel: int) -> can.Message:
     return can.Message(
@@ -37,7 +35,6 @@ def of_kind(kind: str, can_id: int, data: bytes, channel: int) -> can.Message:
 KINDS = st.sampled_from(["", "", "", "remote", "extended", "fd", "error"])
 IDS = st.one_of(st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF))
 FRAMES = st.builds(of_kind, KINDS, IDS, st.binary(max_size=8), st.integers(0, 1))
-MESSAGES = st.lists(st.tuples(st.integers(0, 2_000_000), FRAMES), max_size=40)
 
 
 def written(path: Path, messages: list[tuple[int, can.Message]], **options: int) -> Path:
@@ -50,9 +47,9 @@ def written(path: Path, messages: list[tuple[int, can.Message]], **options: int)
     return path
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", [".log", ".blf", ".asc", ".trc", ".csv", ".log.gz", ".asc.gz"])
 @examples(10)
-@given(messages=MESSAGES)
+@given(messages=st.lists(st.tuples(st.integers(0, 2_000_000), FRAMES), max_size=40))
 def test_the_frames_are_those_of_python_can(
     tmp_path_factory: pytest.TempPathFactory, suffix: str, messages: list[tuple[int, can.Message]]
 ) -> None:
