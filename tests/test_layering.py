@@ -9,6 +9,7 @@ from pathlib import Path
 
 import canfb
 from folding import each
+from tools.suite import house
 
 PACKAGE = Path(canfb.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -16,67 +17,16 @@ LONGEST_FILE = 500
 
 # What every part that speaks CANopen, or says what it found, may use.
 WORDS = {"checks", "cia301", "errors", "files", "objects", "rows"}
-# What each part may import of canfb, beyond itself. The files beside the folders are parts of their own.
-ALLOWED: dict[str, set[str]] = {
-    "errors": set(),
-    "files": {"errors"},
-    "checks": set(),
-    "cia301": {"checks"},
-    "objects": {"cia301"},
-    "rows": set(),
-    # YAML with the line of each key, for all that read a file.
-    "marked_yaml": set(),
-    # What times prove, and no more: it knows no frame, and nothing of what a sample holds.
-    "timing": {"checks", "objects", "errors"},
-    "signal": {"timing", "checks", "objects", "errors"},
-    "calibration": {"signal", "objects", "errors"},
-    "device": WORDS - {"files", "objects", "rows"},
-    "eds_files": {"errors"},
-    # A source gives samples, the word of signal, and all else comes to it as an argument (Surroundings):
-    # the simulated machine, and the threads and clocks of bus. So module, simulation and bus build on it.
-    "sources": {"signal"} | WORDS,
-    "module": {"signal", "timing", "calibration", "device", "sources", "eds_files", "view"} | WORDS,
-    # The encoder interface as a node, whatever its source: a converter, a recording, a simulated machine.
-    "interface": {"signal", "timing", "device", "sources", "eds_files"} | WORDS,
-    "simulation": {"signal", "device", "sources", "interface", "module", "eds_files"} | WORDS,
-    # Time is an argument here as well: frames of a log in, what the module made of them out.
-    "replay": {"signal", "calibration", "device", "module", "view"} | WORDS,
-    "configuration": {"signal", "sources", "module", "interface", "simulation", "checks", "errors",
-                      "files", "marked_yaml"},
-    # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
-    "report": {"signal", "calibration", "rows"},
-    # What a module is, from its objects. The limits in force are arithmetic of signal.
-    "view": {"signal"} | WORDS,
-    # What all tools share that are the master of a bus: objects by SDO, samples, changes that are undone.
-    "master": {"signal", "calibration", "sources", "view"} | WORDS,
-    # Objects by name, correction tables, backups.
-    "sdo": {"marked_yaml", "signal", "calibration", "device", "view", "master"} | WORDS,
-    "diagnosis": {"signal", "view", "master", "sdo"} | WORDS - {"checks", "files"},
-    "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "sdo"} | WORDS,
-    "commission": {"signal", "timing", "calibration", "report", "view", "master", "calibrate"} | WORDS,
-    # What others tell of themselves on the bus; so it may watch modules that are not ours.
-    "monitoring": {"signal", "timing", "module", "configuration", "bus", "logfile", "view", "master"}
-                  | WORDS - {"checks", "files"},
-    "scope": {"signal", "calibration", "monitoring", "errors", "objects"},
-    # The clock, frames and the runner of any device: it knows nothing of encoders.
-    "bus": {"device"} | WORDS - {"checks", "files", "objects", "rows"},
-    "hosting": {"signal", "sources", "module", "device", "interface", "simulation", "configuration", "bus"}
-               | WORDS - {"checks", "rows"},
-    "logfile": {"bus", "cia301", "errors", "files", "rows"},
-    "logs": {"signal", "device", "module", "report", "hosting", "logfile", "replay"} | WORDS,
-    "demo": {"signal", "calibration", "report", "device", "sources", "module", "interface", "simulation",
-             "configuration", "eds_files"} | WORDS,
-    # What a module and a bus allow is arithmetic over both: of the module, of the wire and of the simulated
-    # motion. It needs no bus, so it is not in one that has.
-    "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files", "view"} | WORDS,
-    "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
-            "eds_files", "bus", "hosting", "demo", "master", "sdo", "diagnosis", "calibrate", "commission",
-            "report", "monitoring", "replay", "logfile", "logs", "planning", "scope", "marked_yaml",
-            "view"} | WORDS,
-    # StateFiles of hosting, when it is asked for.
-    "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "hosting"} | WORDS,
-    "__main__": {"cli"},
-}  # fmt: skip
+# What each part may import of canfb, beyond itself: the table of docs/architecture.md, from which this is
+# read. The files beside the folders are parts of their own. All but a source's samples, the word of signal,
+# comes to it as an argument (Surroundings): the simulated machine, and the threads and clocks of bus; so
+# module, simulation and bus build on sources. Time is an argument for replay, too: frames of a log in, what
+# the module made of them out. Pictures (report) need what is measured, and nothing of how: so the demo and
+# every tool on top may use them. The limits in force (view) are arithmetic of signal. Monitoring knows what
+# others tell of themselves on the bus: so it may watch modules that are not ours. Planning is arithmetic over
+# module, wire and simulated motion: it needs no bus, so it is not in a part that has one. The public names
+# (__init__) have hosting for StateFiles, when it is asked for.
+ALLOWED = house.imports()
 
 # What runs a source must not care which: a new kind is one file in sources/. A recording is what calibrate
 # and simulate play.
