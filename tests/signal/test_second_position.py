@@ -110,6 +110,17 @@ def test_a_start_on_a_turning_machine(speed: float, tolerance: float) -> None:
     assert first <= (at_rest if abs(speed) < 0.1 else 16.0 * (tolerance * N + 2.0))
 
 
+@each("speed", [0.2, 300.3, -83.2])
+def test_a_zero_pulse_has_no_place_until_the_speed_of_a_start_is_known(speed: float) -> None:
+    """By another speed pulses would contradict each other, and the position was never valid."""
+    machine = TwoSensors(0.005, speed=speed)
+    machine.mark = 0.5
+    got = machine.run(400)
+    first = has(got, VALID).index(True)
+    assert all(feedback.valid for feedback in got[first:])
+    assert bool(got[-1].status & StatusBit.REFERENCED) == (abs(speed) > 1.0)
+
+
 @each("speed", [0.0, 83.2, -40.7])
 @each("dead", [8, 40])
 def test_a_lost_count_is_set_right(speed: float, dead: int) -> None:

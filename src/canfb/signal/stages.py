@@ -306,7 +306,14 @@ class Stages:
             follows = measured and self.place is not None
             if pulse is None and zero_pulse is not None and follows:
                 pulse = reference.pulse(track, zero_pulse, self.clock, elapsed)
-            bits, jump = reference.apply(sample, track, bits, pulse, elapsed if follows else 0.0)
+            bits, jump = reference.apply(
+                sample,
+                track,
+                bits,
+                # Until the other sensor has confirmed the speed of a start, a pulse has no place.
+                pulse if self.second is None or self.second.witness.proven or estimator.lost else None,
+                elapsed if follows else 0.0,
+            )
         if self.second is not None:
             bits, jump = self.second.apply(track, bits, jump, elapsed, measured, no_coarse, newest)
         self.place = track if measured and jump == 0 else None
