@@ -121,6 +121,15 @@ def test_a_zero_pulse_has_no_place_until_the_speed_of_a_start_is_known(speed: fl
     assert bool(got[-1].status & StatusBit.REFERENCED) == (abs(speed) > 1.0)
 
 
+@each("mark", range(0, N, 250))
+def test_a_speed_that_two_zero_pulses_have_given_is_not_added_once_more(mark: int) -> None:
+    machine = TwoSensors(0.001, speed=-298.6)
+    machine.mark = float(mark)
+    valid = [feedback.speed_cycles for feedback in machine.run(60) if feedback.valid]
+    assert valid == pytest.approx([-298.6] * len(valid), abs=0.05)
+    assert len(valid) > 30
+
+
 @each("speed", [0.0, 83.2, -40.7])
 @each("dead", [8, 40])
 def test_a_lost_count_is_set_right(speed: float, dead: int) -> None:

@@ -35,6 +35,7 @@ class Reference:
         estimator.on_lost = self.position_lost
         estimator.on_speed = self.speed_known
         self.coarse, self.zero = coarse, zero
+        self.witnesses: list[Witness] = [coarse]  # that search for the speed
         self.recovered = self.set_right = 0
         self._time = 0.0
         self.restart()
@@ -53,7 +54,9 @@ class Reference:
 
     def speed_known(self) -> None:
         self._speed_known = True
-        self._first_pulse: Pulse | None = None  # of the speed before
+        self._first_pulse: Pulse | None = None  # of the speed before, as is what they have searched
+        for witness in self.witnesses:
+            witness.restart_search()
 
     def missed(self) -> None:
         self.slipped() if self.estimator.lost else self.coarse.restart_search()
@@ -235,7 +238,7 @@ class Reference:
         if len(found) == 1:
             self.estimator.found(0, found.pop())
             self.range_known = self._range_from_zero = True
-            self._first_pulse = None
+            self.speed_known()
 
 
 def lost_bits(bits: int) -> int:
