@@ -143,8 +143,7 @@ def test_a_missed_sample_is_told_at_the_sync_after_it(rpdo: int, tpdo: int) -> N
     timeline.types(rpdo, tpdo)
     timeline.missing = {20}
     timeline.start()
-    sent = timeline.run(25)
-    told = [one.at for one in sent if one.status & StatusBit.MISSED]
+    told = [one.at for one in timeline.run(25) if one.status & StatusBit.MISSED]
     assert told == pytest.approx([21.0], abs=1e-6)
     assert timeline.sdo[0x2012][1].raw == 1
 

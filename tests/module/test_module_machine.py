@@ -92,8 +92,7 @@ class ModuleMachine(RuleBasedStateMachine):
             assert same, f"{one} {Bit(one.status)!r}, expected {other} {Bit(other.status)!r}"
 
     def _step(self) -> None:
-        change = max(-MOST_ACCELERATION, min(self.target - self.speed, MOST_ACCELERATION))
-        self.speed += change
+        self.speed += max(-MOST_ACCELERATION, min(self.target - self.speed, MOST_ACCELERATION))
         self.position += self.speed
 
     def _counts(self, position: float, amplitude: float = 1500.0) -> tuple[int, int]:

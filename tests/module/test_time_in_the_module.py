@@ -6,7 +6,7 @@ import math
 import random
 import struct
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
 import pytest
@@ -201,8 +201,7 @@ def test_an_extrapolated_position_is_that_of_its_sync(
     delay: float, entries: dict[tuple[int, int], float], overflow: int
 ) -> None:
     """One SYNC is not received, and the next comes just after it was overdue."""
-    entries = {(0x1800, 2): 1, (0x2013, 1): 1, **entries}
-    machine = Machine(True, ramped(0.9), entries, times=True, overflow=overflow)
+    machine = Machine(True, ramped(0.9), {(0x1800, 2): 1, (0x2013, 1): 1} | entries, True, overflow)
     for k in range(1, 104):
         if k != 100:
             machine.sync_at(k, k + 0.001 * (k == 101))
@@ -510,13 +509,10 @@ def test_an_interface_whose_clock_is_sync_may_be_in_slow_motion(
 ) -> None:
     """As that of ``canfb simulate --pace sync``: a period for each SYNC, which waits for all at first."""
     machine = Machine(True, lambda k: ramped(speed)(max(0, k - 30)), {(0x2010, 6): 200}, times=True)
-    at, apart = 1.0, [25.0, 25.0]
-    for pace, syncs, rough in paces:
-        apart += [pace * (1.0 + rough * (n % 3)) for n in range(syncs)]
-    for k, pace in enumerate(apart, 1):
+    apart = [pace * (1.0 + rough * (n % 3)) for pace, syncs, rough in paces for n in range(syncs)]
+    for k, at in enumerate(accumulate([1.0, 25.0, 25.0, *apart]), 1):
         machine.sync_at(k, at)
         machine.sample(k, at + ADC)
-        at += pace
     assert machine.right()
     assert not any(one.status & LOST for one in machine.positions)
 
@@ -783,8 +779,7 @@ def test_one_sync_off_the_grid_does_not_lose_a_slow_machine_of_known_acceleratio
     speed: float, kind: int
 ) -> None:
     """Its sample is no good one where it is further off than 2010:0C, which no contradiction has to show."""
-    acceleration = 1.3 * speed / 40.0  # cycles per interval^2
-    rad_s2 = acceleration * 2.0 * math.pi / 2500.0 / PERIOD_S**2
+    rad_s2 = 1.3 * speed / 40.0 * 2.0 * math.pi / 2500.0 / PERIOD_S**2
     for late in (-0.35, -0.2, 0.13, 0.3):
         machine = Machine(True, ramped(speed), {(0x1400, 2): kind, (0x2010, 2): rad_s2})
         machine.run(1, 100)
