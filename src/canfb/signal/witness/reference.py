@@ -35,7 +35,7 @@ class Reference:
         estimator.on_lost = self.position_lost
         estimator.on_speed = self.speed_known
         self.coarse, self.zero = coarse, zero
-        self.witnesses: list[Witness] = [coarse]  # that search for the speed
+        self._witnesses: list[Witness] = [coarse]  # that search for the speed
         self.recovered = self.set_right = 0
         self._time = 0.0
         self.restart()
@@ -55,8 +55,11 @@ class Reference:
     def speed_known(self) -> None:
         self._speed_known = True
         self._first_pulse: Pulse | None = None  # of the speed before, as is what they have searched
-        for witness in self.witnesses:
+        for witness in self._witnesses:
             witness.restart_search()
+
+    def join(self, second: Witness) -> None:
+        self._witnesses = [self.coarse, second]
 
     def missed(self) -> None:
         self.slipped() if self.estimator.lost else self.coarse.restart_search()

@@ -118,7 +118,7 @@ class SecondPosition:
         self._reference = reference
         scale = SecondScale(sensor, reference.zero.cycles_per_revolution)
         self.witness, self._values = Witness(scale), SecondValues(scale)
-        reference.witnesses = [reference.coarse, self.witness]
+        reference.join(self.witness)
         self.restart()
         self.witness.proven = reference.estimator.tracker.started  # the position there is is believed
 
