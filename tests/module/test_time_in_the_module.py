@@ -485,15 +485,21 @@ def test_a_machine_that_moves_when_sync_changes_its_rate(
     st.sampled_from([0, 10, 240]),
     st.integers(-3, 14),
     st.lists(st.sampled_from([-1.0, 1.0, 0.0]), min_size=1, max_size=3),
+    st.sampled_from([0.0, 30e-6]),
 )
-@example(2 / 3, 1.0, 0, 5, [1.0])
+@example(2 / 3, 1.0, 0, 5, [1.0], 0.0)
+@example(2, 1.0, 0, 13, [-1.0], 30e-6)
 def test_a_steady_machine_whose_sample_times_are_at_the_count_of_another_rate(
-    rate: float, speed: float, overflow: int, first: int, off: list[float]
+    rate: float, speed: float, overflow: int, first: int, off: list[float], noise_s: float
 ) -> None:
-    """Where a period more or less shows as much the same phase: the receptions say that they are wrong."""
+    """Where a period more or less shows as much the same phase: the receptions say that they are wrong.
+
+    Those that are not exact say it once a time was right on the new grid of SYNC.
+    """
+    first = max(first, 6) if noise_s else first
     machine = Machine(True, ramped(speed), times=True, overflow=overflow)
     for n, k in enumerate((*range(1, 91), *(90.0 + k * rate for k in range(1, 80))), -89):
-        machine.sync_at(n + 90, k)
+        machine.sync_at(n + 90, k + random.Random(n).random() * noise_s / PERIOD_S)
         wrong = off[n - first] if 0 <= n - first < len(off) else 0.0
         machine.sample(k, k + ADC * min(1.0, rate), time=k + wrong)
     assert machine.right()

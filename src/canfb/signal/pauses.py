@@ -35,8 +35,9 @@ class Pauses:
 
     def displaces(self, intervals: float) -> bool:
         declared = self._stages.estimator.declared
-        known = declared.acceleration is not None
-        return self._moves(intervals, declared.phase_error if known else LARGEST_SLIP_CYCLES)
+        return self._moves(
+            intervals, LARGEST_SLIP_CYCLES if declared.acceleration is None else declared.phase_error
+        )
 
     def _moves(self, intervals: float, cycles: float) -> bool:
         estimator = self._stages.estimator

@@ -44,6 +44,7 @@ class SampleTimes:
     __slots__ = (
         "_agrees",
         "_at",
+        "_at_count",
         "_heard_s",
         "_last",
         "_least_s",
@@ -70,8 +71,8 @@ class SampleTimes:
 
     def reset(self) -> None:
         self._pace_s = 0.0  # the interval, while nobody says how long it is
-        self._heard_s = 0.0  # how far times are from the receptions of SYNC, mean
-        self._right_heard_s = 0.0  # the same, up to the last time that was right
+        # How far times are from the receptions of SYNC, mean; and up to the last one that was right.
+        self._heard_s = self._right_heard_s = 0.0
         self.grid.forget()
         self.forget()
 
@@ -82,6 +83,7 @@ class SampleTimes:
         self._received_s: float | None = None  # when that was received
         self._synced_s: float | None = None  # when its SYNC was
         self._least_s = inf  # by the call of its SYNC, when the first sample was taken, at the soonest
+        self._at_count = True  # the last time that was right was at the place of its count
         self._agrees = False  # the last time that was not right was where its call was due
         self._refused_counted = 0.0  # intervals counted up to the last time that was not right
         self.waited = 0.0  # intervals without a sample since the last one with its time
@@ -186,7 +188,9 @@ class SampleTimes:
                 heard = [
                     abs(one - passed_s) <= unsure_s for one in (apart_s, heard_apart_s) if one is not None
                 ]
-                right = all(heard) or (right and (any(heard) or is_timer or not grid.period))
+                right = all(heard) or (
+                    right and (any(heard) or (is_timer and self._at_count) or not grid.period)
+                )
             right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
             error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
@@ -200,7 +204,8 @@ class SampleTimes:
             )
         # SYNC at another rate counts other intervals: the samples are another line, but not while the machine
         # moves, since what is declared for the interval would not hold for a longer one.
-        is_same = heard_apart_s is None or places == round(counted) or not self._rests()
+        self._at_count = places == round(counted)
+        is_same = heard_apart_s is None or self._at_count or not self._rests()
         grid.take(self._at + ticks, in_turn=is_same)
         self._take(
             time_100ns,
