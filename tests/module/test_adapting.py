@@ -60,8 +60,7 @@ class Turning(Bench):
             units, status, _ = self.position(self.counts(*self.pair()))
             assert status & 1
             errors.append(units / UNITS - self.place)
-        away = np.array(errors)
-        return list((away + 0.5) % 1.0 - 0.5)
+        return list((np.array(errors) + 0.5) % 1.0 - 0.5)
 
     def drift(self) -> tuple[float, ...]:
         """2002:0F..12."""
@@ -174,8 +173,7 @@ def test_samples_that_nobody_confirms_are_not_learned() -> None:
     ],
 )
 def test_the_key(text: str, expected: tuple[int, ...]) -> None:
-    config = parse_config(f"modules:\n- {{node_id: 3, adapt: {text}}}\n")
-    module = FeedbackModule(config.modules[0])
+    module = FeedbackModule(parse_config(f"modules:\n- {{node_id: 3, adapt: {text}}}\n").modules[0])
     assert tuple(module.dictionary.entry(0x2002, n).value for n in range(8, 13)) == expected
 
 

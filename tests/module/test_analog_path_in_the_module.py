@@ -38,8 +38,7 @@ class Machine(Bench):
         """One SYNC and its sample: error of 6004h against the position at the SYNC, cycles; status."""
         sent = self.sync()
         self.now = now = self.bus.now
-        counts = counts_at(self.place_at(now - self.lag_s), 23000.0)
-        data = struct.pack("<hh", *counts)
+        data = struct.pack("<hh", *counts_at(self.place_at(now - self.lag_s), 23000.0))
         if self.module.config.times:
             data += struct.pack("<I", round(now * 1e7))
         self.bus.run_until(now + ADC_S)
@@ -72,8 +71,7 @@ def accelerating(top: float, acceleration: float = 0.1) -> Motion:
 @each("fields", [{}, {"times": True}, {"times": True, "nominal_sync": True}])
 def test_the_position_is_that_of_the_sync(fields: dict[str, Any], lag_s: float) -> None:
     """Also while the machine accelerates, but for the interval in which that begins or ends."""
-    used = Conditioning(delay_s=lag_s)
-    machine = Machine(accelerating(40.037), lag_s=lag_s, conditioning=used, **fields)
+    machine = Machine(accelerating(40.037), lag_s=lag_s, conditioning=Conditioning(delay_s=lag_s), **fields)
     errors = machine.run(1000)
     kinks = 0.12 * (1.0 + lag_s / INTERVAL_S) ** 2
     assert np.abs(errors).max() < QUANTUM + kinks
@@ -98,8 +96,7 @@ def test_other_objects_say_the_same_position() -> None:
 @each("kind", [1, 2])
 def test_a_prediction_goes_on_from_there(kind: int) -> None:
     """6008h with its SYNC: the position at that SYNC, though its sample is of the one before."""
-    used = Conditioning(delay_s=1e-4)
-    machine = Machine(accelerating(40.037), lag_s=1e-4, conditioning=used, predict=kind)
+    machine = Machine(accelerating(40.037), lag_s=1e-4, conditioning=Conditioning(delay_s=1e-4), predict=kind)
     machine.run(600)
     (frame,) = [one for one in machine.sync() if one.can_id == 0x2A0]
     (fine,) = struct.unpack_from("<q", frame.data)

@@ -405,8 +405,7 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         if self.state is not State.COMPUTING:
             self.start(Command.START, 200, 200)
             self.finish(0.0)
-        calibration = replace(measured(), reason=reason) if figures else None
-        self.bench.finish_with(Outcome(reason, calibration, "no"))
+        self.bench.finish_with(Outcome(reason, replace(measured(), reason=reason) if figures else None, "no"))
         self.state, self.reason, self.figures = State.REFUSED, reason, figures
 
     @precondition(lambda self: self.state is State.COMPUTING)

@@ -59,13 +59,12 @@ def pdo(draw: st.DrawFn) -> list[Write]:
     index = draw(st.sampled_from(PDOS))
     mapped = draw(st.lists(st.sampled_from(TRANSMITTED if index >= 0x1800 else RECEIVED), max_size=4))
     flags = draw(st.sampled_from([0, 1 << 30, 1 << 31, 3 << 30]))
-    kinds = st.sampled_from([0, 1, 2, 5, 240, 252, 253, 254, 255])
     return [
         write(index, 1, 4, 1 << 31),
         write(index + 0x200, 0, 1, 0),
         *(write(index + 0x200, place, 4, one) for place, one in enumerate(mapped, 1)),
         write(index + 0x200, 0, 1, draw(st.integers(0, len(mapped)))),
-        write(index, 2, 1, draw(kinds)),
+        write(index, 2, 1, draw(st.sampled_from([0, 1, 2, 5, 240, 252, 253, 254, 255]))),
         *(write(index, sub, size, draw(st.integers(0, 250))) for sub, size in ((3, 2), (5, 2), (6, 1))),
         write(index, 1, 4, draw(CAN_IDS) | flags),
     ]
@@ -132,8 +131,7 @@ def run(module: FeedbackModule, program: list[Write]) -> None:
     """Write all that the module takes, and put table and conditioning in force together."""
     for one in program:
         put(module, one)
-    active = module.dictionary.entry(0x2020, 4).value
-    assert put(module, write(0x2020, 3, 4, active)) == 0
+    assert put(module, write(0x2020, 3, 4, module.dictionary.entry(0x2020, 4).value)) == 0
 
 
 def state(module: FeedbackModule) -> dict[Any, Any]:
@@ -258,8 +256,7 @@ def test_what_a_master_cannot_write_in_the_order_of_the_indices(
 ) -> None:
     reset(modules[0])
     run(modules[0], program)
-    configuration: DeviceConfiguration = configuration_of(modules[0])
-    assert configuration.refused_in_index_order() == refused
+    assert configuration_of(modules[0]).refused_in_index_order() == refused
 
 
 def test_amplitudes_in_disorder_accept_nothing_and_are_loaded_as_they_are() -> None:

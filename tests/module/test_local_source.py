@@ -46,8 +46,7 @@ def test_each_sync_brings_the_position_of_its_own_sample() -> None:
     for _ in range(1500):
         units, status, _ = local.position(local.sync())
         assert status & VALID
-        error = units / UNITS_PER_CYCLE - source.position_cycles
-        assert abs(math.remainder(error, RANGE_CYCLES)) < 0.01
+        assert abs(math.remainder(units / UNITS_PER_CYCLE - source.position_cycles, RANGE_CYCLES)) < 0.01
     assert source.position_cycles > 10_000
 
 
@@ -84,8 +83,7 @@ def test_a_sample_stands_in_2000h_or_is_a_failure(sample: Sample, objects: list[
 
 
 def test_a_sample_that_is_not_there_is_missed_and_the_tracker_steps_over_it() -> None:
-    steps = [None if n in (20, 21) else at(0.3 * n) for n in range(40)]
-    local = Local(repeated(*steps))
+    local = Local(repeated(*[None if n in (20, 21) else at(0.3 * n) for n in range(40)]))
     for n in range(40):
         units, status, _ = local.position(local.sync())
         assert bool(status & MISSED) == (n in (20, 21))

@@ -114,8 +114,7 @@ class Pair:
             self.model.step = step
             self.model.place += step
         self.model.sampled = True
-        counts = struct.pack("<hh", *EIGHTHS[self.model.place % 8])
-        self.module.receive(Frame(0x190, counts), self.now)
+        self.module.receive(Frame(0x190, struct.pack("<hh", *EIGHTHS[self.model.place % 8])), self.now)
 
     def set(self, index: int, value: int, size: int) -> None:
         wanted = AbortCode.VALUE_TOO_LOW if index != 0x6000 and not value else None

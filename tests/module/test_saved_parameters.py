@@ -212,8 +212,7 @@ def test_the_master_that_sets_a_node_id(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_the_files_that_the_page_names_are_those_of_the_program() -> None:
     named = set(re.findall(r"`(\w+\.bin)`", STORAGE))
-    made = {f"{group.name.lower()}.bin" for group in ParameterGroup}
-    assert named == made | {state_files.PENDING}
+    assert named == {f"{group.name.lower()}.bin" for group in ParameterGroup} | {state_files.PENDING}
 
 
 HOUR_S = 3600.0

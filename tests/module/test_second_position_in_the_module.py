@@ -171,8 +171,7 @@ def test_no_value_is_paired_with_the_sample_of_another_sync(what: str) -> None:
 ])  # fmt: skip
 def test_the_mapping_of_rpdo2(before: int, after: int, entries: list[int]) -> None:
     bench = Bench(second_position=second(before_bytes=before, after_bytes=after))
-    count = bench.sdo[0x1601][0].raw
-    mapped = [bench.sdo[0x1601][n].raw for n in range(1, count + 1)]
+    mapped = [bench.sdo[0x1601][n].raw for n in range(1, bench.sdo[0x1601][0].raw + 1)]
     assert sorted(mapped) == sorted([*entries, 0x20000E20])
     assert sum(entry & 0xFF for entry in mapped[: mapped.index(0x20000E20)]) == 8 * before
     assert bench.sdo[0x1401][1].raw == VALUE_ID

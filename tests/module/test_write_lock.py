@@ -33,8 +33,7 @@ class Locked(Bench):
 
     def write(self, index: int, sub: int, layout: str, value: float) -> str:
         data = struct.pack(f"<{layout}", value)
-        head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub)
-        return self.ask(head + data.ljust(4, b"\0"))
+        return self.ask(struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub) + data.ljust(4, b"\0"))
 
     def begin(self, command: int, index: int, sub: int) -> str:
         """A segmented (20h) or block (C0h) download, of which nothing follows."""
