@@ -202,9 +202,9 @@ class SampleTimes:
             return self._refused(
                 time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
             )
+        self._at_count = places == round(counted)
         # SYNC at another rate counts other intervals: the samples are another line, but not while the machine
         # moves, since what is declared for the interval would not hold for a longer one.
-        self._at_count = places == round(counted)
         is_same = heard_apart_s is None or self._at_count or not self._rests()
         grid.take(self._at + ticks, in_turn=is_same)
         self._take(
