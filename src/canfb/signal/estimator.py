@@ -169,8 +169,7 @@ class Estimator:
         """Samples start..stop of a run on arrays, one at least, were counted by eq. 9."""
         new = slice(max(start, stop - REMEMBERED_SAMPLES), stop)
         counts, phases = tracked.cycles[new].tolist(), tracked.phase[new].tolist()
-        before = float(tracked.phase[stop - 2])
-        self.tracker.set_state(before, phases[-1], counts[-1], counts[-1] - int(tracked.cycles[stop - 2]))
+        self.tracker.go_on(tracked, stop)
         if not self.lost:
             self.places.extend((count, phase, 1.0) for count, phase in zip(counts, phases, strict=True))
 

@@ -423,7 +423,7 @@ class Stages:
         start: int = run.start
         cycles, phase = tracked.cycles, tracked.phase
         estimator, tracker = self.estimator, self._tracker
-        state = tracker.state()
+        places = tracker.places
         steady_run(tracker, tracked, start, run.stop, scratch)
         followed = estimator.lost or tracked.ok[run].all()
         stop: int = run.stop if followed else start + int(tracked.ok[run].argmin())
@@ -432,7 +432,7 @@ class Stages:
             equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
             stop = stop if equal is None else start + self._frozen.before_row(equal)
         if stop == start:
-            tracker.set_state(*state)
+            tracker.set_places(*places)
             return 0
         last = stop - 1
         self.place = Track(int(cycles[last]), float(phase[last]), float(tracked.residual[last]), True)

@@ -106,25 +106,19 @@ class Tracker:
         """The next sample is one interval after two that were one interval apart."""
         return self.started and self._gap == 0.0 and self.elapsed == 1.0
 
-    def state(self) -> tuple[float, float, int, int]:
-        """(p(k-2), p(k-1), i(k-1), i(k-1) - i(k-2)) of a steady tracker."""
-        return self._phase_before, self._phase, self.cycles, self._step
-
-    def set_state(self, phase_before: float, phase: float, cycles: int, step: int) -> None:
-        """Set what :meth:`state` gives; the tracker is steady then.
-
-        ``phase_before``, ``phase``: of the last two samples; ``step``: cycles between them; ``cycles``: the
-        count of the last.
-        """
-        self.started, self.elapsed, self._gap = True, 1.0, 0.0
-        self._phase_before, self._phase, self.cycles, self._step = phase_before, phase, cycles, step
-        self._find_speed()
-
-    def set_places(self, before: Track, last: Track, elapsed: float) -> None:
+    def set_places(self, before: Track, last: Track, elapsed: float = 1.0) -> None:
         """Go on from two samples, ``before`` and ``last``, ``elapsed`` intervals apart."""
-        self.set_state(before.phase, last.phase, last.cycles, last.cycles - before.cycles)
-        self.elapsed = elapsed
+        self.started, self.elapsed, self._gap = True, elapsed, 0.0
+        self._phase_before, self._phase = before.phase, last.phase
+        self.cycles, self._step = last.cycles, last.cycles - before.cycles
         self._find_speed()
+
+    def go_on(self, result: TrackResult, stop: int) -> None:
+        """Go on behind the samples of ``result`` up to ``stop``, counted one interval apart."""
+        before, last = (
+            Track(int(result.cycles[at]), float(result.phase[at]), 0.0, True) for at in (stop - 2, stop - 1)
+        )
+        self.set_places(before, last)
 
     def shift(self, cycles: int, step_cycles: int) -> None:
         """Add ``cycles`` to the cycle count, and ``step_cycles`` per interval to the speed."""
@@ -340,15 +334,16 @@ def _take_one(tracker: Tracker, result: TrackResult, at: int) -> None:
 def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
     if at < PLACES_BEFORE or not tracker.is_steady:
         return False
-    before = (*result.phase[at - PLACES_BEFORE : at].tolist(), int(result.cycles[at - 1]))
-    return tracker.state()[:3] == before
+    before, last, _ = tracker.places
+    phases = result.phase[at - PLACES_BEFORE : at].tolist()
+    return [before.phase, last.phase] == phases and last.cycles == int(result.cycles[at - 1])
 
 
 def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
     """What eq. 9 needs of a steady tracker, two places before ``at``; of another one, what nothing reads."""
-    cycles, phase = result.cycles, result.phase
-    phase[at - 2], phase[at - 1], last, step = tracker.state()
-    cycles[at - 1], cycles[at - 2] = last, last - step
+    before, last, _ = tracker.places
+    result.cycles[at - 2 : at] = before.cycles, last.cycles
+    result.phase[at - 2 : at] = before.phase, last.phase
 
 
 def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
@@ -361,7 +356,7 @@ def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scr
         start += 1
     if start == stop:
         return
-    _, _, cycles, step = tracker.state()
+    before, last, _ = tracker.places
     phase, run = result.phase, slice(start, stop)
     residual = result.residual[run]
     c, turns = scratch.a[: stop - start], scratch.b[: stop - start]
@@ -370,8 +365,8 @@ def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scr
     c -= phase[run]
     _round(c, turns, residual)
     np.less(residual, tracker.residual_limit, out=result.ok[run])
-    last_step = cycle_counts(turns, cycles, step, result.cycles[run], scratch)
-    tracker.set_state(float(phase[stop - 2]), float(phase[stop - 1]), int(result.cycles[stop - 1]), last_step)
+    cycle_counts(turns, last.cycles, last.cycles - before.cycles, result.cycles[run], scratch)
+    tracker.go_on(result, stop)
 
 
 def _round(c: FloatArray, turns: FloatArray, residual: FloatArray) -> None:
@@ -380,8 +375,8 @@ def _round(c: FloatArray, turns: FloatArray, residual: FloatArray) -> None:
     np.abs(c, out=residual)
 
 
-def cycle_counts(turns: FloatArray, cycles: int, step: int, out: IntArray, scratch: Scratch) -> int:
-    """Add up step(k) = step(k-1) + turns(k), i(k) = i(k-1) + step(k), i into ``out``; the last step.
+def cycle_counts(turns: FloatArray, cycles: int, step: int, out: IntArray, scratch: Scratch) -> None:
+    """Add up step(k) = step(k-1) + turns(k), i(k) = i(k-1) + step(k), i into ``out``.
 
     ``turns`` are whole, at most 2 in size, and overwritten, as ``scratch.a`` and ``scratch.index``. Exact.
     """
@@ -392,15 +387,13 @@ def cycle_counts(turns: FloatArray, cycles: int, step: int, out: IntArray, scrat
     if head:
         cycles, step = _in_rows(turns[:head].reshape(products, -1, ROW), cycles, step, out[:head], scratch)
     if head == len(turns):
-        return step
+        return
     steps = scratch.index[: len(turns) - head]
     steps[:] = turns[head:]
     steps[0] += step
     np.add.accumulate(steps, out=steps)
-    step = int(steps[-1])
     steps[0] += cycles
     np.add.accumulate(steps, out=out[head:])
-    return step
 
 
 def _in_rows(turns: FloatArray, cycles: int, step: int, out: IntArray, scratch: Scratch) -> tuple[int, int]:
