@@ -198,12 +198,6 @@ def loss(bench: Bench) -> list[int]:
     return [int(bench.sdo[0x2012][sub].raw) for sub in LOSS if sub != 0x11]
 
 
-def details(bench: Bench) -> list[bytes]:
-    """The five bytes of each EMCY 7300h."""
-    frames = [frame.data for frame in bench.heard if frame.can_id == EMCY]
-    return [data[3:] for data in frames if struct.unpack_from("<H", data)[0] == 0x7300]
-
-
 def test_an_interface_that_falls_silent_loses_the_position_once_and_is_named(bench: Bench) -> None:
     for n in range(20):
         bench.at(0.125 * n)
@@ -220,7 +214,8 @@ def test_an_interface_that_falls_silent_loses_the_position_once_and_is_named(ben
     assert limit == 21845
     assert speed == pytest.approx(0.125 * 65536, rel=0.01)
     assert faults == StatusBit.MISSED
-    not_valid, lost = details(bench)
+    emergencies = [frame.data for frame in bench.heard if frame.can_id == EMCY]
+    not_valid, lost = (data[3:] for data in emergencies if data[:2] == b"\x00\x73")
     assert not_valid[2:] == bytes(3), "the cause is not known yet"
     assert struct.unpack("<H", lost[:2])[0] & StatusBit.LOST
     assert lost[2:] == bytes((LossCause.COASTED, 4, 0))

@@ -34,6 +34,15 @@ def test_a_gap_that_the_caller_counted_is_stepped_over_and_flagged() -> None:
     assert StatusBit.LOST in flags(too_long)
 
 
+@each("speed", [0.0, 20.4])
+@each("elapsed", [0.0, -1.0, math.nan, math.inf])
+@each("ticks", [None, 12_345])
+def test_an_interval_of_no_length_is_not_counted(speed: float, elapsed: float, ticks: int | None) -> None:
+    machine = moving(speed)
+    assert not machine.chain.step(at(machine.position, elapsed=elapsed, time_100ns=ticks)).valid
+    assert machine.chain.lost is (speed > 0.0)
+
+
 def test_the_amplitude_is_checked_after_conditioning() -> None:
     chain = SignalChain(ChainConfig(amplitude_low_counts=1200))
     offset = Sample(AMPLITUDE * 0.4, -AMPLITUDE + AMPLITUDE * 0.4)

@@ -7,6 +7,7 @@ Intervals are those of SYNC here, and those from sample to sample in the stages.
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 
 from canfb.objects import LossCause
 from canfb.signal.adaptation import Adaptation, AdaptConfig, FollowedDrift
@@ -258,12 +259,14 @@ class SignalChain:
         with the receptions, of this sample at ``received_s`` and of the SYNC that it answers at
         ``synced_s``, seconds, None where that is not known. One whose time fits nothing is a bad sample in
         motion; see :class:`canfb.signal.sample_times.SampleTimes`. It ``counts`` but where another one
-        answered this SYNC.
+        answered this SYNC. Where ``elapsed`` is no number above 0, it is bad, and lost is what moves.
 
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
         taken, in their order; the result is that of the newest, :attr:`between` has the others.
         """
         time_100ns, elapsed = sample.time_100ns, sample.elapsed
+        if not 0.0 < elapsed < inf:
+            return self.uncertain(inf) or self.after(sample, 1.0, placed=False)
         if time_100ns is None:
             return self.after(sample, elapsed)
         times, stages = self.times, self.stages
@@ -288,7 +291,7 @@ class SignalChain:
             self._unused += elapsed * (not rests)
             return self.after(sample, elapsed, placed=rests)
         if passed <= times.waited:  # what was waited for did not pass
-            return self._restarted(sample, least=float("inf"))
+            return self._restarted(sample, least=inf)
         next_one = elapsed + times.waited < HOLE_INTERVALS
         # Of several samples the earlier ones lie in one interval of SYNC, that of the times or another.
         off = abs(passed - counted)

@@ -364,19 +364,13 @@ def enabled(**fields: Any) -> DriveBench:
     return bench
 
 
-def last_outside(positions: np.ndarray, target: float, band: float) -> int:
-    """Samples until the position stays within the band."""
-    outside = np.nonzero(np.abs(positions - target) > band)[0]
-    return int(outside[-1]) + 1 if len(outside) else 0
-
-
 def test_a_step_of_one_revolution() -> None:
     bench = enabled()
     start = bench.read(0x6064)
     truth = bench.follow([start + UNITS] * 600)
     overshoot = (truth.max() - start - UNITS) / UNITS
     assert overshoot < 1e-4
-    settled_ms = last_outside(truth, start + UNITS, UNITS / 1000)
+    settled_ms = np.flatnonzero(np.abs(truth - start - UNITS) > UNITS / 1000)[-1] + 1
     ideal_ms = 2000 * math.sqrt(2 * math.pi / 500)  # all of the torque, half of the way each
     assert ideal_ms < settled_ms < 1.6 * ideal_ms
     assert 1e-6 < abs(truth[-1] - start - UNITS) < 10
