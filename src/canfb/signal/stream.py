@@ -90,10 +90,10 @@ def process_stream(
 ) -> Iterator[ChainResult]:
     """The supervised chain over blocks of samples that follow each other: one result for each.
 
-    A block is a pair (sine, cosine) of shape (n,), ADC counts, zero at mid-scale; n may differ and may be
-    0. Samples are one sampling interval apart, also across blocks. The results are bit for bit those of
-    :meth:`canfb.SignalChain.step`. At a block that is not such a pair the stream ends, with the errors of
-    :func:`canfb.process`.
+    A block is a pair (sine, cosine) of shape (n,), ADC counts, zero at mid-scale; n may differ and may be 0.
+    Samples are one sampling interval apart, also across blocks. The results are bit for bit those of
+    :meth:`canfb.SignalChain.step`, but none is valid after a start in motion at no given speed. At a block
+    that is not such a pair the stream ends, with the errors of :func:`canfb.process`.
 
     ``config`` None stands for the defaults of :class:`canfb.ChainConfig`, ``table`` None for the identity.
     ``table`` and ``speed_cycles`` as for :func:`canfb.process`. TypeError or ValueError at once for a bad
