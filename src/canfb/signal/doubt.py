@@ -308,18 +308,20 @@ class Doubt:
         """Random phases, or a frozen input, would not look like this."""
         if one.probability > FALSE_ACCEPTANCE:
             return False
-        band = 2.0 * self.motion.phase_error  # in which the phases of a machine that stands are
-        phase = one.last.phase
-        if any(abs(apart(spot.phase, phase)) > band for spot in one.run_spots):
-            return True
-        stood = sum(abs(apart(spot.phase, phase)) <= band for spot in self._first_spots)
-        return stood >= ORDER
+        stood = sum(self._is_near(spot, one) for spot in self._first_spots)
+        return stood >= ORDER or self._moves(one)
+
+    def _moves(self, one: Candidate) -> bool:
+        return not all(self._is_near(spot, one) for spot in one.run_spots)
+
+    def _is_near(self, spot: Spot, one: Candidate) -> bool:
+        # As the phases of a machine that stands.
+        return abs(apart(spot.phase, one.last.phase)) <= 2.0 * self.motion.phase_error
 
     def _is_jump(self, one: Candidate) -> bool:
-        first = self._contradicted
-        if first is None:
+        first, spots = self._contradicted, one.run_spots
+        if first is None or not self._moves(one):  # it stands where it stood before
             return False
-        spots = one.run_spots
         time = spots[0].time
         for number in range(len(self.log) - len(spots), first, -1):
             time -= self.log[number].elapsed

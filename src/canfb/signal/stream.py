@@ -92,12 +92,12 @@ def process_stream(
 
     A block is a pair (sine, cosine) of shape (n,), ADC counts, zero at mid-scale; n may differ and may be 0.
     Samples are one sampling interval apart, also across blocks. The results are bit for bit those of
-    :meth:`canfb.SignalChain.step`, but none is valid after a start in motion at no given speed. At a block
-    that is not such a pair the stream ends, with the errors of :func:`canfb.process`.
+    :meth:`canfb.SignalChain.step`, but none is valid after a start in motion without ``speed_cycles``. At a
+    block that is not such a pair the stream ends, with the errors of :func:`canfb.process`.
 
     ``config`` None stands for the defaults of :class:`canfb.ChainConfig`, ``table`` None for the identity.
     ``table`` and ``speed_cycles`` as for :func:`canfb.process`. TypeError or ValueError at once for a bad
-    one of these.
+    one.
     """
     config, alone = with_correction(ChainConfig() if config is None else config, table)
     stream = Stream(config, alone, 0.0 if speed_cycles is None else speed_cycles)
