@@ -168,3 +168,21 @@ def test_a_zero_pulse_under_acceleration_is_where_it_was() -> None:
         made.step(group(positions, zero_pulse=0.375 if sync == 20 else None))
     expected = acceleration / 2.0 * 19.375**2
     assert seen == [pytest.approx(expected, abs=0.01)]
+
+
+@each("per_sync", [1, 2, 3, 4])
+@each("place", [0.1, 0.5, 0.75])
+def test_a_pulse_behind_a_missing_sample_contradicts_no_other(per_sync: int, place: float) -> None:
+    """Where nobody heard a SYNC, it is given as a part of an interval that is twice as long."""
+    made, speed, missing = chain(per_sync, 0.01), 137.3, 20
+    made.restart(0, speed / per_sync)
+    pulse_from = (missing - 1 + 2.0 * place) * speed - N
+    for sync in range(100):
+        if sync == missing:
+            made.miss()
+            continue
+        sample = turning(sync, per_sync, speed, pulse_from=pulse_from)
+        pulse = place if sync == missing + 1 else sample.zero_pulse if sync > missing else None
+        newest = made.step(sample._replace(coarse_sine=None, coarse_cosine=None, zero_pulse=pulse))
+        assert newest.valid or sync == missing + 1
+    assert newest.status & REFERENCED

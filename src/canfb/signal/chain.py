@@ -350,6 +350,8 @@ class SignalChain:
         self, sample: Sample, elapsed: float, bad: bool, unplaced: bool, next_one: bool
     ) -> Feedback:
         stages, timed = self.stages, sample.time_100ns is not None
+        if stages.place is None:  # the interval that the pulse is a part of may be longer
+            sample = sample._replace(zero_pulse=None)
         samples = [sample] if bad else in_order(sample, elapsed * self._per_sync, self._per_sync)
         next_one = next_one and len(samples) == self._per_sync
         between: list[Feedback] = []
