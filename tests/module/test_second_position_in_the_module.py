@@ -134,6 +134,28 @@ def test_a_write_to_2014h_learns_the_offset_again() -> None:
     assert axis.module.chain.second is None
 
 
+@each("n, written", [(N, (0x2014, 4, 0.6 / N)), (1250, (0x2001, 1, N))])
+@each("samples", [1, 2])
+def test_a_start_in_motion_is_not_believed_for_another_sensor(
+    n: int, written: tuple[int, int, float], samples: int
+) -> None:
+    """What was written says nothing of the speed, which the sensor had yet to confirm."""
+    drive = second(before_bytes=3, tolerance_revolutions=0.3 / N, increments=1 << 24)
+    axis, away = Axis(second_position=drive, cycles_per_revolution=n), []
+    axis.remote.nmt.send_command(0x81)
+    axis.start()
+    for k in range(60):
+        if k == samples:
+            index, subindex, value = written
+            axis.sdo[index][subindex].raw = value
+        status, feedback = axis.cycle(1.72), axis.module.feedback
+        assert feedback is not None
+        if status & StatusBit.VALID:
+            away.append(feedback.cycles + feedback.phase - axis.place)
+    assert len(away) > 20
+    assert away == pytest.approx([round(away[0])] * len(away), abs=0.1)
+
+
 def test_it_may_end_the_validity() -> None:
     axis = Axis(second_position=second(before_bytes=3, invalidates=True))
     axis.slip = 100.0

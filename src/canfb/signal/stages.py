@@ -105,17 +105,16 @@ class Stages:
         self._frozen.residual_limit_cycles = limits.residual_limit
         self._frozen.frozen_samples = limits.frozen_samples
         if limits.cycles_per_revolution != self.reference.zero.cycles_per_revolution:
-            had_position = self.reference.had_position
-            self._make_reference(limits)
-            self.reference.had_position = had_position
+            self._make_reference(limits, self.reference.had_position)
         self.reference.coarse.limit(limits.sample.full_scale_counts, limits.coarse_limit_revolutions)
         self.tracks.use_corners(limits.corners)
         self._tracks_changed()
 
-    def _make_reference(self, limits: ChainLimits) -> None:
+    def _make_reference(self, limits: ChainLimits, had_position: bool = False) -> None:
         n = limits.cycles_per_revolution
         coarse = CoarseTrack(n, limits.sample.full_scale_counts, limits.coarse_limit_revolutions)
         self.reference = Reference(self.estimator, coarse, ZeroPulse(n))
+        self.reference.had_position = had_position
         if self.second is not None:  # nothing is known of the sensor any more
             self.use_second(self.second.sensor)
 

@@ -120,7 +120,7 @@ class SecondPosition:
         self.witness, self._values = Witness(scale), SecondValues(scale)
         reference.join(self.witness)
         self.restart()
-        self.witness.proven = reference.estimator.tracker.started  # the position there is is believed
+        self.witness.proven = reference.had_position  # that one is believed
 
     def restart(self, keep: bool = False) -> None:
         self.witness.restart(keep)
