@@ -145,7 +145,8 @@ def test_a_signal_ends_it_with_exit_code_0(
     process.wait_for("end with Ctrl-C")
     process.send(number)
     assert process.wait() == 0
-    assert process.lines[0] == f"{BEGINS[command]} on virtual canfb-cli; end with Ctrl-C"
+    waits = ", waits for NMT start (--autostart)" * (command == "simulate")
+    assert process.lines[0] == f"{BEGINS[command]} on virtual canfb-cli{waits}; end with Ctrl-C"
     assert process.lines[-1].startswith(last)
 
 

@@ -161,9 +161,7 @@ WRONG_USE = {
     "table write 0 t.yaml": "'0' is not a node-ID (1 to 127, or 0x01 to 0x7F); see",
     "table clear 0x20 --timeout 0": "--timeout 0: must be 0.01 to 60",
     # monitor
-    "monitor 0": "'0' is not a node-ID",
-    "monitor 128": "'128' is not a node-ID",
-    "monitor --web 200": "'200' is not a node-ID",
+    **{f"monitor {node}": NOT_A_NODE for node in ("0", "128", "--web 200")},
     "monitor --updates 0 --json": "'0' is not a number above 0",
     "monitor --seconds 1e9": "'1e9' is not a number above 0 and below 1e9",
     "monitor --per-revolution 5": "'5' is not a distance per revolution",

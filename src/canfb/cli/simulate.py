@@ -63,7 +63,12 @@ def register(commands: Commands) -> None:
         ),
         option("--rpm", type=float, help="speed after the ramp, instead of the configuration's"),
         option("--autostart", action="store_true", help="enter OPERATIONAL without a master"),
-        option("--seconds", type=positive, metavar="S", help="end after this machine time"),
+        option(
+            "--seconds",
+            type=positive,
+            metavar="S",
+            help="end after this machine time, from the first sample on",
+        ),
         option(
             "--record",
             metavar="FILE",

@@ -88,8 +88,7 @@ def title_of(device: NodeDevice) -> str:
 
 
 def short_title_of(device: NodeDevice) -> str:
-    node_id = device.node_id
-    return title_of(device) if node_id == UNCONFIGURED else f"node {node_id}"
+    return title_of(device) if device.node_id == UNCONFIGURED else f"node {device.node_id}"
 
 
 def duplicates_of(device: NodeDevice) -> str:

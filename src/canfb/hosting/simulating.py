@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from canfb.bus.opening import describe
+from canfb.cia301.codes import NmtState
 from canfb.configuration import RealtimeConfig
 from canfb.device.node import Device
 from canfb.hosting.serving import OnBus
@@ -47,7 +48,11 @@ class Simulating(OnBus):
         runner, network = self._entered(), self.network
 
         def on_the_bus() -> None:
-            log.info(f"encoder interface: node {self._node} on {describe(self.words)}; end with Ctrl-C")
+            log.info(
+                f"encoder interface: node {self._node} on {describe(self.words)}"
+                f"{', waits for NMT start (--autostart)' * (network.interface.state != NmtState.OPERATIONAL)}"
+                "; end with Ctrl-C"
+            )
             if network.drive is not None:
                 log.info(network.drive.describe())
             if network.demand is not None:
