@@ -28,7 +28,7 @@ from canfb.cli.options import (
 )
 from canfb.cli.printing import PRINTING, Progress, say
 from canfb.configuration import load_config
-from canfb.files import prepare_folder, write_whole
+from canfb.files import check_writable, prepare_folder, write_whole
 from canfb.hosting.event_log import summary_of
 from canfb.hosting.readiness import Readiness
 from canfb.hosting.trying import START_ALL, NetworkOnBus, private_bus
@@ -92,6 +92,7 @@ def try_it(options: argparse.Namespace) -> int:
         path = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-try-")), "feedback.yaml")
         path.write_text(EXAMPLE.replace(EXAMPLE_BUS, json.dumps(words)), encoding="utf-8")
         if options.write_config is not None:
+            check_writable(options.write_config, "--write-config")
             write_whole(options.write_config, path.read_bytes())
         with NetworkOnBus(jittered(load_config(path), options), options.rate, first=[START_ALL]) as network:
             _serve(options, network, path)
@@ -139,9 +140,9 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
         "encoder_interface": module.encoder_interface,
         "commands": following,
     }
-    nodes = f"node {module.node_id} ({module.node_id:02X}h), its encoder interface and SYNC"
     lines = [
-        f"running {nodes} at {options.rate:g} Hz on {describe(words)}; end with Ctrl-C",
+        f"running node {module.node_id} ({module.node_id:02X}h), its encoder interface and SYNC "
+        f"at {options.rate:g} Hz on {describe(words)}; end with Ctrl-C",
         *those((address, f"open {address}")),
         "next, in another terminal:",
         *(f"  {line}" for line in following),
