@@ -44,7 +44,10 @@ WRONG_USE = {
     "demo '--fa\nst'": "canfb: unrecognized arguments: --fa st",
     "run": "canfb run: the following arguments are required: CONFIG.yaml; see canfb run --help",
     "run x.yaml -i wires": "canfb run: argument -i/--interface: invalid choice",
-    "run nothing.yaml": f"canfb: nothing.yaml: {NO_FILE}",
+    **{
+        f"{one} nothing.yaml": f"canfb: nothing.yaml: {NO_FILE}"
+        for one in ("run", "simulate", "calibrate", "commission", "plan", "config dcf")
+    },
     **dict.fromkeys(("run typo.yaml", "simulate typo.yaml", "calibrate typo.yaml"), TYPO),
     "config": "canfb config: the following arguments are required: PART",
     "config check typo.yaml": f"canfb: typo.yaml:1: {TYPO}",
@@ -53,8 +56,8 @@ WRONG_USE = {
     "try --out x": "--out: only with --story",
     **{f"try --rate {rate}": f"--rate {rate}" for rate in ("20", "2000", "nan")},
     "try --port 70000": "--port 70000",
+    "try --write-config feedback.yaml": "--write-config feedback.yaml: is a configuration, and would be",
     # simulate
-    "simulate nothing.yaml": f"canfb: nothing.yaml: {NO_FILE}",
     "simulate x.yaml --rate fast": "canfb simulate: argument --rate: invalid float value",
     **{
         f"simulate feedback.yaml --rate {rate}": f"--rate {rate}: must be 0.1 to 100000 Hz"
@@ -92,7 +95,6 @@ WRONG_USE = {
     "simulate drive.yaml -i virtual --samples x.csv": "--samples: the drive of the configuration moves",
     "simulate drive.yaml -i virtual --rpm 5": "--rpm: the drive of the configuration moves",
     # calibrate
-    "calibrate nothing.yaml": f"canfb: nothing.yaml: {NO_FILE}",
     "calibrate --seconds 0": "canfb: --seconds 0: must be 0.1 to 3600",
     "calibrate --verify nan": "--verify nan: must be 0.1 to 600",
     "calibrate --entries 15": "--entries 15: must be 16 to 4096",
@@ -130,7 +132,6 @@ WRONG_USE = {
     "calibrate --speeds 61,1000 --samples x --wait 10": "--wait: not with --samples",
     "calibrate --speeds 61,1000 --samples x": "with --speeds a folder with a file for each speed",
     # commission
-    "commission nothing.yaml": f"canfb: nothing.yaml: {NO_FILE}",
     "commission 33 0x20": "32: there is another node-ID already",
     "commission a.yaml --config b.yaml": "a.yaml: there is another file already",
     "commission 0x20 --margin nan": "--margin nan: must be 1.2 to 10",
@@ -148,6 +149,7 @@ WRONG_USE = {
     "node start a.yaml": NOT_A_NODE,
     "node start 1 a.yaml": NOT_A_NODE,
     "sdo read 1 residual limit": "unrecognized arguments: limit",
+    "use -i virtual --forget": "--interface: not with --forget",
     "why 5 --status 6": "NODE: not with --status",
     "why --bundle --status 6": "--bundle: not with --status",
     "why 5 --config ''": "cannot be read",
@@ -162,6 +164,8 @@ WRONG_USE = {
     "table clear 0x20 --timeout 0": "--timeout 0: must be 0.01 to 60",
     # monitor
     **{f"monitor {node}": NOT_A_NODE for node in ("0", "128", "--web 200")},
+    "monitor --log x.log -i virtual": "--interface: not with --log",
+    "monitor --frames --log x.log -c can0": "--channel: not with --log",
     "monitor --updates 0 --json": "'0' is not a number above 0",
     "monitor --seconds 1e9": "'1e9' is not a number above 0 and below 1e9",
     "monitor --per-revolution 5": "'5' is not a distance per revolution",
@@ -192,7 +196,6 @@ WRONG_USE = {
     "config dcf x.yaml --out no/a.dcf": "--out no/a.dcf: there is no folder no",
     "config dcf x.yaml --concise no/a.bin": "--concise no/a.bin: there is no folder no",
     "monitor -i virtual -b 0": "bitrate in bus must be bits per second, such as 1000000, not 0",
-    "config dcf nothing.yaml": f"nothing.yaml: {NO_FILE}",
     "config dcf unnamed.yaml": "canfb: the module with serial number 7 has no node-ID yet",
     "config dcf feedback.yaml": "feedback.yaml: NODE is required, as there are several: 32 (20h), 33 (21h)",
     "config dcf feedback.yaml 1": "feedback.yaml: 1: no module has this node-ID; there are 32 (20h), 33",
@@ -202,18 +205,15 @@ WRONG_USE = {
     # plan
     "plan feedback.yaml --adc-bits 12": "--adc-bits: only without CONFIG.yaml",
     "plan feedback.yaml --modules 1": "--modules: only without CONFIG.yaml",
-    "plan --rate nan": "canfb: --rate must be a number",
-    "plan --rate 0": "--rate must be a number",
-    "plan --jitter 20": "--jitter must be a number",
-    "plan --extra 1.5": "--extra must be a number",
-    "plan --rpm inf": "--rpm must be a number",
-    "plan --acceleration -3": "--acceleration must be a number",
+    **{
+        f"plan --{one}": f"canfb: --{one.split()[0]} must be a number"
+        for one in ("rate nan", "rate 0", "jitter 20", "extra 1.5", "rpm inf", "acceleration -3")
+    },
     "plan --modules 0": "--modules must be a whole number 1..32",
     "plan --adc-bits 99": "--adc-bits must be a whole number 4..16",
     "plan --bitrate 5": "--bitrate must be a whole number 10000..1000000",
     "plan --residual-limit 0.6": "--residual-limit must be above 0 and at most 0.5",
     "plan --cycles 0": "--cycles must be a whole number",
-    "plan nothing.yaml": f"nothing.yaml: {NO_FILE}",
     "plan feedback.yaml --modules 2": "--modules: only without CONFIG.yaml",
     "plan fast.yaml": "bitrate must be a whole number",
 }

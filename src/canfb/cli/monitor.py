@@ -52,6 +52,7 @@ IDLE = (
     (["speed"], "frames", False, "not with --frames, which does not wait"),
     (["speed"], "log", True, "goes with --log"),
     (["sdo", "listen"], "log", False, "a log answers no SDO"),
+    (["interface", "channel"], "log", False, "not with --log, which is read in place of a bus"),
 )
 FASTEST_HZ, RATE_HZ, LINES_RATE_HZ = 50.0, 5.0, 1.0
 

@@ -7,6 +7,7 @@ import json
 
 from canfb.bus.opening import check_words, describe
 from canfb.cli.options import (
+    BUS_WORDS,
     Commands,
     add_bus_options,
     add_command,
@@ -26,6 +27,7 @@ def register(commands: Commands) -> None:
         use,
         option("--forget", action="store_true", help="no default bus any more"),
         add_bus_options,
+        idle=(((*BUS_WORDS, "bus_kwargs"), "forget", False, "not with --forget"),),
     )
 
 
