@@ -146,8 +146,7 @@ WRONG_USE = {
     "node": "required: PART",
     "node start": "required: NODE",
     "node begin all": "invalid choice: 'begin'",
-    "node start a.yaml": NOT_A_NODE,
-    "node start 1 a.yaml": NOT_A_NODE,
+    **dict.fromkeys(("node start a.yaml", "node start 1 a.yaml"), NOT_A_NODE),
     "sdo read 1 residual limit": "unrecognized arguments: limit",
     "use -i virtual --forget": "--interface: not with --forget",
     "why 5 --status 6": "NODE: not with --status",
@@ -160,7 +159,7 @@ WRONG_USE = {
     "table show nothing.yaml": "nothing.yaml: neither a node-ID (1 to 127) nor a file",
     "table show 128": "128: neither a node-ID",
     "table write 0x20 t.yaml --save": "--save: only with --activate",
-    "table write 0 t.yaml": "'0' is not a node-ID (1 to 127, or 0x01 to 0x7F); see",
+    **dict.fromkeys(("table write 0 t.yaml", "config dcf 0"), f"'0' {NOT_A_NODE}; see"),
     "table clear 0x20 --timeout 0": "--timeout 0: must be 0.01 to 60",
     # monitor
     **{f"monitor {node}": NOT_A_NODE for node in ("0", "128", "--web 200")},
@@ -188,7 +187,6 @@ WRONG_USE = {
     "config dcf": "the following arguments are required: NODE",
     "config dcf key16.yaml --concise module-10h.dcf": "module-10h.dcf: must differ from --out",
     "config dcf 3 1": "1: there is another node-ID already",
-    "config dcf 0": "'0' is not a node-ID",
     "config dcf x.yaml one": "'one' is not a node-ID",
     "config dcf x.yaml --timeout 2": "--timeout: only with NODE alone",
     "config dcf 3 --timeout 0": "--timeout 0: must be",
@@ -204,7 +202,7 @@ WRONG_USE = {
     **{f"log record x.log --max-size {size}": "--max-size: " for size in ("-1", "9X")},
     # plan
     "plan feedback.yaml --adc-bits 12": "--adc-bits: only without CONFIG.yaml",
-    "plan feedback.yaml --modules 1": "--modules: only without CONFIG.yaml",
+    **{f"plan feedback.yaml --modules {n}": "--modules: only without CONFIG.yaml" for n in (1, 2)},
     **{
         f"plan --{one}": f"canfb: --{one.split()[0]} must be a number"
         for one in ("rate nan", "rate 0", "jitter 20", "extra 1.5", "rpm inf", "acceleration -3")
@@ -214,7 +212,6 @@ WRONG_USE = {
     "plan --bitrate 5": "--bitrate must be a whole number 10000..1000000",
     "plan --residual-limit 0.6": "--residual-limit must be above 0 and at most 0.5",
     "plan --cycles 0": "--cycles must be a whole number",
-    "plan feedback.yaml --modules 2": "--modules: only without CONFIG.yaml",
     "plan fast.yaml": "bitrate must be a whole number",
 }
 PLAYED = "simulate feedback.yaml --samples"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable
 
@@ -9,6 +10,7 @@ import pytest
 
 from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
+from canfb.cli import printing
 from canfb.master.access import CommissioningError, nmt_state, state_in, without_restart
 from canfb.master.all_or_nothing import check_unlocked
 from canfb.simulation.embedded_bus import REGULAR, SyncProducer
@@ -102,9 +104,12 @@ NODE = hex(MODULE_ID)
 STILL = Motion((), ())
 
 
-def test_a_lost_position_comes_back_at_standstill(canfb: Commands) -> None:
+def test_a_lost_position_comes_back_at_standstill(canfb: Commands, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(printing, "LINE_EVERY_S", 0.0)
     bench = lose(running(motion=STILL))
-    out, _ = canfb(bench, "node", "reset", NODE)
+    out, err = canfb(bench, "node", "reset", NODE)
+    parts = [int(part) for part in re.findall(r"(\d+) %", err)]
+    assert (parts, parts[0], parts[-1]) == (sorted(parts), 0, 99), "it says how far it has watched"
     assert out.startswith("node 32 (20h): reset and started; position valid, machine still, within 0.00")
     assert bench.value(0x2011, 1) & 1
     figures = canfb(bench, "node", "reset", NODE, "--json").json

@@ -24,6 +24,7 @@ from canfb.cli.options import (
     option,
     positive,
 )
+from canfb.cli.printing import shown_progress
 from canfb.master.access import CommissioningError, reset_nodes
 from canfb.rows import Result
 
@@ -96,12 +97,12 @@ def reset(options: argparse.Namespace) -> int:
 
     chosen = _nodes(options)
     command = NmtCommand.RESET_COMMUNICATION if options.communication else NmtCommand.RESET_NODE
-    with node_options.master_of(options) as master:
+    with node_options.master_of(options) as master, shown_progress(quiet=options.json) as progress:
         if chosen == [EVERYBODY]:
             chosen = [one.node for one in scan(master, SCAN_S)]
             if not chosen:
                 raise CommissioningError(NOBODY)
-        done = reset_nodes(master, chosen, command, force=options.force)
+        done = reset_nodes(master, chosen, command, progress.part, force=options.force)
     lines = [f"node {one['node']} ({one['node']:02X}h): reset" for one in done]
     if len(done) == 1 and done[0]["position"]:
         spread = done[0]["spread_cycles"]
@@ -115,5 +116,6 @@ def listed(options: argparse.Namespace) -> int:
 
     with BusMaster(open_bus(chosen_bus(options)), 0.3) as master:
         found = scan(master, options.seconds)
-    lines = [one.line() for one in found] or [NOBODY]
-    return node_options.say_result(options, Result([one.figures() for one in found], lines))
+    return node_options.say_result(
+        options, Result([one.figures() for one in found], [one.line() for one in found] or [NOBODY])
+    )

@@ -358,13 +358,12 @@ class MachineLook:
         return f"its phase spreads over {self.spread_cycles:.3f} cycle in {self.samples} samples"
 
 
-def watch_standstill(module: NodeAccess) -> MachineLook:
-    master = module.master
+def watch_standstill(module: NodeAccess, progress: Progress) -> MachineLook:
     seen: dict[int, float] = {}  # phases, by the number of the sample
     counts: list[int] = []
     known = module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID
     least = LEAST_SAMPLES if known else STILL_SAMPLES  # a lost one needs so many equal ones before its reset
-    newest = Unchanged(master, 0)
+    newest = Unchanged(module.master, 0)
     while len(seen) < least and newest.seconds(len(seen)) < PATIENCE_S:
         status = module.integer(*od.FEEDBACK_STATUS, "H")
         number = module.integer(*od.FEEDBACK_SAMPLES, "I")
@@ -373,7 +372,8 @@ def watch_standstill(module: NodeAccess) -> MachineLook:
             counts.append(module.integer(*od.FEEDBACK_CYCLE_COUNT, "q"))
         if not status & od.StatusBit.MISSED:
             seen[number] = phase
-        master.wait(STEP_S)
+        progress(len(seen) / least)
+        module.master.wait(STEP_S)
     if len(seen) < least:
         raise CommissioningError(
             f"{module.name}: {len(seen)} samples, then none for {PATIENCE_S:g} s, so it cannot be seen "
@@ -388,7 +388,7 @@ def watch_standstill(module: NodeAccess) -> MachineLook:
 
 
 def reset_nodes(
-    master: Master, nodes: Sequence[int], command: NmtCommand = NmtCommand.RESET_NODE, *, force: bool = False
+    master: Master, nodes: Sequence[int], command: NmtCommand, progress: Progress, *, force: bool = False
 ) -> list[dict[str, Any]]:
     """Reset nodes; CommissioningError, and no reset, if the machine of a module among them moves.
 
@@ -401,9 +401,9 @@ def reset_nodes(
         else [one for one in found if one.read_known(od.FEEDBACK_STATUS) is not None]
     )
     if len(found) == len(modules) == 1:
-        return [reset_module(modules[0], command, force=force)]
-    for module in () if force else modules:
-        _refuse_motion(module)
+        return [reset_module(modules[0], command, progress, force=force)]
+    for n, module in enumerate(() if force else modules):
+        _refuse_motion(module, progress, n, len(modules))
     for node in found:
         master.send(cob.NMT, struct.pack("BB", command, node.node_id))
     return [
@@ -411,8 +411,8 @@ def reset_nodes(
     ]
 
 
-def _refuse_motion(module: NodeAccess) -> None:
-    look = watch_standstill(module)
+def _refuse_motion(module: NodeAccess, progress: Progress, before: int, of: int) -> None:
+    look = watch_standstill(module, lambda part: progress((before + part) / of))
     if look.moves:
         raise CommissioningError(
             f"{module.name}: the machine moves, {look.text}: not reset. A start in motion may count wrong; "
@@ -421,14 +421,14 @@ def _refuse_motion(module: NodeAccess) -> None:
 
 
 def reset_module(
-    module: NodeAccess, command: NmtCommand = NmtCommand.RESET_NODE, *, force: bool = False
+    module: NodeAccess, command: NmtCommand, progress: Progress, *, force: bool = False
 ) -> dict[str, Any]:
     """Reset a module at standstill, start it, and see that its position is valid.
 
     ``force``: without a look at the machine. CommissioningError if it moves or does not come back valid.
     """
     if not force:
-        _refuse_motion(module)
+        _refuse_motion(module, progress, 0, 2)
     _restart(module, command)
     _wait_until(
         module.master, BOOT_UP_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID
@@ -440,7 +440,7 @@ def reset_module(
             f"{module.name}: reset and started, but its position is {words}: canfb why {module.node_id:#04x} "
             "says why"
         )
-    after = None if force else watch_standstill(module)
+    after = None if force else watch_standstill(module, lambda part: progress((1 + part) / 2))
     if after is not None and after.moves:
         raise CommissioningError(
             f"{module.name}: the machine began to move while it was reset, {after.text}: its count may be "
