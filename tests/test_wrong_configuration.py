@@ -52,7 +52,7 @@ WRONG = {
     MODULE + "  adc_bits: 012\n": "3: adc_bits must be a whole number 4..16, not '012'",
     MODULE + "  conditioning: {sine_gain: yes}\n": "3: sine_gain must be a finite number, not True",
     MODULE + "  autostart: 1\n": "3: autostart must be true or false, not 1",
-    MODULE + "  state_dir: 4\n": "3: state_dir must be the name of a folder",
+    MODULE + "  state_dir: 4\n": "3: state_dir must be text, not 4",
     MODULE + "  samples_per_sync: 2\n  source: {kind: iio, device: x, scans_per_sync: 5}\n":
         "3: modules[0]: samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not 5",
     MODULE + "  adapt: 3\n": "3: modules[0]: adapt must be true, false or a mapping with its bounds, not 3",
@@ -63,6 +63,7 @@ WRONG = {
     MODULE + "  adapt: [1]\n": "3: adapt must be a mapping",
     SECOND + "cob_id: 0x180}\n": "3: second_position: cob_id must be a whole number 385..1407, not 384",
     SECOND + "cob_id: 0x600}\n": "3: second_position: cob_id must be",
+    **{SECOND + f"cob_id: {n}}}\n": f"3: second_position: cob_id {n} is that" for n in ("0x183", "0x190")},
     SECOND + "before_bytes: 5}\n": "3: second_position: before_bytes must be a whole number 0..4, not 5",
     SECOND + "after_bytes: -1}\n": "3: second_position: after_bytes must be",
     SECOND + "cob_id: 0x1B0}\n  times: true\n  samples_per_sync: 7\n":
@@ -95,8 +96,7 @@ WRONG = {
         "2: encoder_interface 4 of modules[0] is the node_id of modules[1]",
     BRIEF + "bus: [socketcan]\n": "2: 'bus' must be a mapping of python-can's",
     BRIEF + "bus:\n": "2: 'bus' must be a mapping of python-can's parameters",
-    BRIEF + "realtime: {priority: 100}\n": "2: priority must be a whole number 0..99",
-    BRIEF + "realtime: {priority: yes}\n": "2: priority must be a whole number",
+    **{BRIEF + f"realtime: {{priority: {n}}}\n": "2: priority must be a whole number" for n in (100, "yes")},
     BRIEF + "realtime: {lock_memory: 1}\n": "2: lock_memory must be true or",
     **{BRIEF + f"realtime: {{cpu: {n}}}\n": "2: cpu must be a whole number 0.." for n in (-1, "no")},
     BRIEF + "realtime: {cpu: 0, busy_poll: 1}\n": "2: busy_poll",

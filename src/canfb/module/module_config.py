@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from canfb.checks import integer_in, within
+from canfb.cia301 import cob
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.objects import WriteLockMode
 from canfb.signal.chain_config import ChainConfig
@@ -71,7 +72,7 @@ class ModuleConfig(ChainConfig):
     samples_per_sync         1..8 pairs of sine and cosine for each SYNC, two in each TPDO of the encoder
                              interface (2000:01, :02, :08..0D, :0F..16), then the time: with ``times`` at
                              most 7. With a source of kind iio: that it gives
-    source                   source of the samples instead of the ADC PDO; None: the PDO
+    source                   of the samples; None: the ADC PDO
     max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0 = not known
     noise_margin             0..255 (2010:09): where a known acceleration narrows the residual limit,
                              the margin is this many standard deviations of the measured noise, and no more
@@ -84,8 +85,8 @@ class ModuleConfig(ChainConfig):
     answer_delay_s           0..1 s, the longest from SYNC to ADC PDO (2010:0E); 0: less than a period
     second_position          another sensor of the machine, such as the motor encoder of the drive, that is
                              compared with the position (2014h); None: none
-    state_dir                folder for the data of `save` (1010h), created if missing; None: nothing
-                             is saved. `canfb run` uses it; each module has its own
+    state_dir                folder for the data of `save` (1010h), relative to the working directory, created
+                             if missing; None: nothing is saved. `canfb run` uses it; each module has its own
     autostart                True: OPERATIONAL without a master
     write_lock               when parameters, table and node-ID can be written over the bus (2040:01): "none"
                              always, "preop" not in OPERATIONAL, "code" not without unlock_code
@@ -127,6 +128,7 @@ class ModuleConfig(ChainConfig):
             times=bool,
             nominal_sync=bool,
             autostart=bool,
+            state_dir=str,
         )
         source, second = self.source, self.second_position
         if source is not None and not isinstance(source, SourceConfig):
@@ -138,7 +140,15 @@ class ModuleConfig(ChainConfig):
                 "second_position: no RPDO is left for cob_id beside the samples and their time: "
                 "leave out times, or take fewer samples_per_sync"
             )
-        if self.source is None and self.encoder_interface == self.node_id:
+        sampled = () if source is not None else cob.TPDOS[: self.adc_pdos]
+        others = [tpdo + self.node_id for tpdo in cob.TPDOS] + [
+            tpdo + self.encoder_interface for tpdo in sampled
+        ]
+        if second is not None and second.cob_id in others:
+            raise ValueError(
+                f"second_position: cob_id {second.cob_id:#x} is that of a PDO of the module or of its samples"
+            )
+        if source is None and self.encoder_interface == self.node_id:
             raise ValueError(f"encoder_interface must differ from node_id {self.node_id}")
         for name, instead in WITHOUT_BUS.items():
             if getattr(self, name):
@@ -149,15 +159,15 @@ class ModuleConfig(ChainConfig):
             raise ValueError(f"write_lock must be none, preop or code, not {self.write_lock!r}")
         if self.write_lock == "code" and not self.unlock_code:
             raise ValueError("write_lock: code needs an unlock_code, 1 to 4294967295")
-        folder = self.state_dir
-        if folder is not None and not (isinstance(folder, str) and folder.strip() and "\0" not in folder):
-            raise ValueError(f"state_dir must be the name of a folder, not {self.state_dir!r}")
 
     @classmethod
     def factory(cls, node_id: int, serial_number: int = 0) -> ModuleConfig:
         """Defaults, of any node-ID."""
-        interface = cls.encoder_interface + (node_id == cls.encoder_interface)
-        return cls(node_id=node_id, serial_number=serial_number, encoder_interface=interface)
+        return cls(
+            node_id=node_id,
+            serial_number=serial_number,
+            encoder_interface=cls.encoder_interface + (node_id == cls.encoder_interface),
+        )
 
     @property
     def adc_pdos(self) -> int:

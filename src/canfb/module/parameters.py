@@ -122,10 +122,9 @@ def _second_position(config: ModuleConfig) -> Values:
         return {}
     defaults: Values = {place: getattr(second, name) for name, place in SECOND_SENSOR.items()}
     if second.cob_id is not None:
-        number = config.adc_pdos
-        defaults[od.RPDO + number, 1] = second.cob_id
+        defaults[od.RPDO + config.adc_pdos, 1] = second.cob_id
         mapping = [len(second.mapping), *second.mapping]
-        defaults |= {(od.RPDO_MAPPING + number, n): entry for n, entry in enumerate(mapping)}
+        defaults |= {(od.RPDO_MAPPING + config.adc_pdos, n): entry for n, entry in enumerate(mapping)}
     return defaults
 
 
