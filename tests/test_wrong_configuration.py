@@ -24,8 +24,7 @@ SECOND = MODULE + "  second_position: {increments: 1, "
 DRIVE = "simulation:\n  drive: "
 # Text: the line, and words of the message.
 WRONG = {
-    "": "1: the configuration is empty; 'canfb config example' prints one",
-    "# nothing\n": "1: the configuration is empty",
+    **dict.fromkeys(("", "# nothing\n"), "1: the configuration is empty; 'canfb config example' prints one"),
     "- node_id: 3\n": "1: the configuration must be a mapping of keys to values",
     "canfb\n": "1: the configuration must be a mapping",
     "bus: {}\n": "1: 'modules' is missing: a list with at least one module",

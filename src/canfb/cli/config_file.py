@@ -144,9 +144,14 @@ def write_dcf(options: argparse.Namespace) -> int:
     else:
         with master_of(options) as master:
             configuration = read_configuration(NodeAccess(master, options.node, "node"))
-    inline, reals = options.table == INLINE, Reals(options.reals)
     files = ConfigurationFiles(
-        configuration, options.out, options.concise, inline, reals, options.name, words
+        configuration,
+        options.out,
+        options.concise,
+        options.table == INLINE,
+        Reals(options.reals),
+        options.name,
+        words,
     )
     if options.concise is not None and options.concise.resolve() == files.path.resolve():
         raise ConfigError(f"--concise {options.concise}: must differ from --out")
@@ -178,4 +183,10 @@ def _chosen(config: Config, options: argparse.Namespace) -> ModuleConfig:
         there = ", ".join(f"{module.node_id} ({module.node_id:02X}h)" for module in config.modules)
         raise ConfigError(f"{options.config}: NODE is required, as there are several: {there}")
     with saying(ConfigError, options.config, ConfigError):
-        return chosen_module(options, config)
+        module = chosen_module(options, config)
+    if getattr(module.source, "adc_bits", module.adc_bits) is None:
+        raise ConfigError(
+            f"{options.config}: adc_bits is required, as the converter of the source is not asked: a DCF has "
+            "the full scale and the limits of the amplitude. Or read the module on the bus: NODE alone"
+        )
+    return module

@@ -389,5 +389,7 @@ def jittered(config: Config, options: argparse.Namespace) -> Config:
         )
     if options.jitter is None:
         return config
-    simulation = replace(config.simulation, sync_jitter_us=seconds * 1e6, sync_jitter_rms_us=0.0)
-    return replace(config, played=simulation)
+    return replace(
+        config,
+        played=replace(config.simulation, sync_jitter_us=seconds * 1e6, sync_jitter_rms_us=0.0),
+    )
