@@ -42,10 +42,10 @@ WRONG = {
         "5: unknown key 'ordre' in harmonics[1]; did you mean 'order'?",
     MODULE + "  adc_bits: 12\n  node_id: 4\n": "4: key 'node_id' is there already, in line 2",
     "bus: {}\nbus: {}\n": "2: key 'bus' is there already, in line 1",
-    "modules:\n- node_id: three\n": "2: modules[0]: node_id must be a whole number 1..127, not 'three'",
-    "modules:\n- node_id: 3.5\n": "2: node_id must be a whole number 1..127, not 3.5",
-    "modules:\n- node_id: true\n": "2: node_id must be a whole number 1..127, not True",
-    "modules:\n- node_id:\n": "2: node_id must be a whole number 1..127, not None",
+    **{
+        f"modules:\n- node_id: {text}\n": f"2: modules[0]: node_id must be a whole number 1..127, not {value}"
+        for text, value in {"three": "'three'", "3.5": 3.5, "true": True, "": None, "0": 0}.items()
+    },
     "modules:\n- node_id: [3]\n": "2: 'node_id' in modules[0] must be a single value",
     "modules:\n- node_id: {a: 3}\n": "2: 'node_id' in modules[0] must be a single value",
     MODULE + "  adc_bits: 012\n": "3: adc_bits must be a whole number 4..16, not '012'",
@@ -72,7 +72,6 @@ WRONG = {
     MODULE + "  unlock_code: -1\n": "3: modules[0]: unlock_code must be a whole number 0..4294967295, not -1",
     MODULE + "  unlock_code: 0x100000000\n": "3: modules[0]: unlock_code must be",
     MODULE + "  conditioning: none\n": "3: conditioning must be a mapping",
-    "modules:\n- node_id: 0\n": "2: node_id must be a whole number 1..127, not 0",
     "modules:\n- adc_bits: 17\n  node_id: 3\n": "2: adc_bits must be a whole number 4..16, not 17",
     MODULE + "  residual_limit: .nan\n": "3: residual_limit must be above 0",
     MODULE + "  max_acceleration_rad_s2: .inf\n": "3: max_acceleration_rad_s2 must be",

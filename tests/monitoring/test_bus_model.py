@@ -20,7 +20,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import NEEDED, Origin, assumed_layout, known_layouts, layout_of
-from canfb.monitoring.lines import residual_words
+from canfb.monitoring.lines import residual_words, sync_words
 from canfb.monitoring.module_model import Bins, SyncMeter
 from canfb.monitoring.snapshot import ModuleSnapshot, NodeSnapshot
 from canfb.view.module_view import Read
@@ -363,6 +363,7 @@ def test_duplicates_and_silence() -> None:
     silent = meter.snapshot(5.0)
     assert silent.rate_hz is None
     assert silent.silent_s == pytest.approx(4.901)
+    assert sync_words(silent) == "no rate, the last 4.9 s ago", "also where too few came: that is not none"
 
 
 @given(st.lists(st.floats(-1e6, 1e6), max_size=50), st.floats(-1e6, 1e6))

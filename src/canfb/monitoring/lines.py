@@ -142,7 +142,7 @@ def other_nodes(snapshot: BusSnapshot) -> str:
 
 def sync_words(sync: SyncSnapshot) -> str:
     if sync.rate_hz is None or sync.jitter_rms_s is None or sync.jitter_peak_s is None:
-        return "none" if sync.silent_s is None else f"none for {age_words(sync.silent_s)}"
+        return "none" if sync.silent_s is None else f"no rate, the last {age_words(sync.silent_s)} ago"
     rms, peak = sync.jitter_rms_s * 1e6, sync.jitter_peak_s * 1e6
     return f"{sync.rate_hz:.6g} Hz, jitter {rms:.1f} µs rms, {peak:.1f} µs peak"
 
