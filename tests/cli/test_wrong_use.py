@@ -72,8 +72,7 @@ WRONG_USE = {
         f"simulate feedback.yaml --rpm={rpm}": f"--rpm {float(rpm):g}: rpm must be a number "
         for rpm in ("1e9", "-1e9", "nan")
     },
-    "simulate feedback.yaml --columns a,b": "--columns: only with --samples",
-    "simulate feedback.yaml --mid-scale 5": "--mid-scale: only with --samples",
+    **{f"simulate feedback.yaml --{x} 5": f"--{x}: only with --samples" for x in ("columns", "mid-scale")},
     "simulate feedback.yaml --time-column t": "--time-column: only with --samples",
     "simulate feedback.yaml --samples x.csv --gap 5": "--gap: only with --time-column",
     "simulate feedback.yaml --samples x.csv --gap-samples 5": "--gap-samples: only with --time-column",
@@ -115,8 +114,7 @@ WRONG_USE = {
     "calibrate --samples x.npz --columns a,b": "--columns: only for CSV",
     "calibrate --columns a,b": "--columns: only with --samples",
     "calibrate --cycles-per-revolution 5": "--cycles-per-revolution: only with --samples",
-    "calibrate --check --save": "--save: not with --check",
-    "calibrate --check --dry-run": "--dry-run: not with --check",
+    **{f"calibrate --check --{one}": f"--{one}: not with --check" for one in ("save", "dry-run")},
     "calibrate --dry-run --save": "--save: not with --dry-run",
     "calibrate --recorder module": "--recorder: only with --source recording",
     **{

@@ -159,6 +159,7 @@ WRONG = [
     (("write", "2030:01", "begin"), "or one of the words start, stop, accept, check, finish"),
     (("write", "2020:01", "xyz"), "must be bytes in hexadecimal such as 01FF, not 'xyz'"),
     (("write", "2010:03"), "a VALUE or --file FILE is required, one of them"),
+    (("write", "2010:03", "--file", __file__), "Samples to coast: UNSIGNED8 has 1 bytes, not"),
 ]
 
 
@@ -179,6 +180,7 @@ def test_what_the_node_refuses_is_said_in_words(canfb: Commands, bench: Bench) -
     assert err == f"{example}\n"
     _, err = canfb(bench, "sdo", "write", NODE, "2011:01", "3", code=1)
     assert err == "canfb: 2011:01 Feedback: Status word is read only\n"
+    assert "2040:04 says" in canfb(bench, "sdo", "write", NODE, "2040:02", "3", code=1)[1], "it has no code"
     _, err = canfb(bench, "sdo", "read", NODE, "activate", code=1)
     assert err == "canfb: 2020:03 Correction table: Activate is write only\n"
     _, err = canfb(bench, "sdo", "write", NODE, "2040:01", "2", code=1)

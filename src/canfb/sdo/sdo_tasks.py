@@ -16,7 +16,7 @@ from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, ErrorRegister
 from canfb.cia301.datatypes import DataType
 from canfb.device.od.dcf import Reals, real_as_text
-from canfb.errors import ConfigError
+from canfb.errors import ConfigError, saying
 from canfb.master.access import CommissioningError, NodeAccess, RefusedError
 from canfb.master.all_or_nothing import SAVE_WITHIN_S
 from canfb.rows import Result, those
@@ -137,7 +137,8 @@ _TO_DO: dict[int, str] = {
     AbortCode.VALUE_TOO_LOW: "write a higher value",
     AbortCode.INVALID_VALUE: "the node does not take this value; its manual says which ones it takes",
     AbortCode.DEVICE_STATE: "not in this state of the node: try canfb node preop, or switch its PDO off",
-    AbortCode.LOCAL_CONTROL: "the node is locked: release it there; canfb by 2040:02 (1 s after a bad code)",
+    AbortCode.LOCAL_CONTROL: "the node is locked: release it there; canfb by its code to 2040:02, 1 s after "
+    "a bad one (2040:04 says whether it is locked: if not, any code is a bad one)",
     AbortCode.NOT_STORED: "the node cannot keep it (canfb run: state_dir), or wants the word save or load",
     AbortCode.HARDWARE: "its memory or its disk fails",
     AbortCode.UNSUPPORTED_ACCESS: "not now: a PDO that is valid cannot be changed; set bit 31 of its COB-ID",
@@ -320,6 +321,8 @@ class SdoTasks:
     def write(self, text: str, value: str | bytes, *, raw: bool = False) -> Result:
         entry = self._one(text)
         data = value if isinstance(value, bytes) else self._encoded(entry, value, raw)
+        with saying(ConfigError, f"{entry.number} {entry.title}", ValueError):
+            datatypes.decode(entry.data_type, data)
         watched = self._described.product == MODULE and entry.index in SUPERVISION
         was_valid = watched and self._is_valid()
         is_domain = entry.data_type == DataType.DOMAIN
@@ -328,13 +331,18 @@ class SdoTasks:
             if is_domain:
                 self._node.download_domain(*entry.place, data)
             else:
-                slow = SAVE_WITHIN_S if entry.index in SIGNATURES else None
-                self._node.write_bytes(*entry.place, data, slow)
+                self._node.write_bytes(
+                    *entry.place, data, SAVE_WITHIN_S if entry.index in SIGNATURES else None
+                )
         except RefusedError as error:
             raise self._refused("writing", entry, error) from None
         now = self._read(entry) if before is not None else None
-        warning = self._warning() if was_valid else ""
-        return _written(before, now, Reading(entry, data, self._described.product), warning)
+        return _written(
+            before,
+            now,
+            Reading(entry, data, self._described.product),
+            self._warning() if was_valid else "",
+        )
 
     def _is_valid(self) -> bool:
         return bool(int(self._node.read_known(od.FEEDBACK_STATUS) or 0) & od.StatusBit.VALID)
