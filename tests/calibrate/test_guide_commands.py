@@ -168,7 +168,7 @@ BEFORE = {
     RATE: RUNNING[:2],
     "service#Real time": RUNNING,
     "homing": ("canfb run still.yaml", "canfb simulate still.yaml --rate 100 --rpm 0", RUNNING[-1]),
-    "calibration": RUNNING,
+    "calibration": RUNNING[1:],
     "canopen": RUNNING,
     FIRST_ENCODER: HARDWARE,
 }
@@ -184,7 +184,7 @@ SAYS = {
     (FIRST_ENCODER, 6): "axis-1.yaml",
     (RATE, 0): "the module follows 209 at 500 Hz (eq. 10)",
     ("service#Real time", 0): "2012:01 Counters: Missed samples: 0",
-    ("calibration", 0): "is active and verified on fresh samples",
+    ("calibration", 0): "is active and verified on fresh samples; saved (1010:04)",
     ("calibration", 1): "Accepted.",
     (DRIFT, 0): '"drift_seen": false',
     (DRIFT, 4): "5A0#43302008",
@@ -256,6 +256,7 @@ def test_an_encoder_that_is_simulated_in_place_of_the_first_one(network: GuideNe
 
 
 def test_calibration_then_drift(network: GuideNetwork) -> None:
+    Path("feedback.yaml").write_text(EXAMPLE.replace("# state_dir: /var/lib/canfb/x", "state_dir: state"))
     play(network, "calibration", DRIFT)
 
 

@@ -38,7 +38,7 @@ from canfb.calibration.deviation import Deviation
 from canfb.calibration.path_fit import check_apart
 from canfb.errors import CalibrationError, CanfbError
 from canfb.master.access import CommissioningError, Master, Progress
-from canfb.master.all_or_nothing import Guard, check_unlocked
+from canfb.master.all_or_nothing import Guard, check_can_save, check_unlocked
 from canfb.master.machine_watch import (
     LockWatch,
     Look,
@@ -143,6 +143,8 @@ class CalibrationRun:
         self._limits = session.limits
         if not (self._choices.check or self._choices.dry_run):
             check_unlocked(session.module)
+        if self._choices.save:
+            check_can_save(session.module)
         return session
 
     def _look(self, session: Session, before: Look | None) -> Look | None:

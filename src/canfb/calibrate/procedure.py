@@ -122,11 +122,6 @@ def install(
     say(f"the table is in force{', and saved' * (done.saved_as is not None)}")
     if not keep:
         done.save_note = "not saved: the table is lost when the module is switched off (--save)"
-    elif done.saved_as is None:
-        done.save_note = (
-            f"not saved: {module.name} cannot save (1010h; canfb run needs a state_dir for it), the table is "
-            "lost when it is switched off"
-        )
     return measured, done
 
 
