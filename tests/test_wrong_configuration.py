@@ -123,7 +123,7 @@ WRONG = {
     "bus: {}\nmodules: \x00\n": "2: this is not YAML: special characters are not allowed",
     "bus: {}\n---\nbus: {}\n": "2: expected a single document in the stream",
     "modules: *m\n": "1: this is not YAML: found undefined alias 'm'",
-    "modules:\n- <<: {adc_bits: 12}\n  node_id: 3\n": "2: unknown key '<<' in modules[0]",
+    "modules:\n- <<: {adc_bits: 12}\n  node_id: 3\n": "2: '<<' in modules[0] is not a key: merge keys",
     "modules: &m\n- *m\n": "3: the file stands for more than 100000 values",
     "modules:\n- !!python/object:os.system {node_id: 3}\n":
         "2: modules[0] has the tag 'tag:yaml.org,2002:python/object:os.system'; a configuration needs none",

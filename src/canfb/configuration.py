@@ -195,16 +195,16 @@ def _short(text: str) -> str:
     return f"{short[:_LONGEST_MESSAGE]} ..." if len(short) > _LONGEST_MESSAGE else short
 
 
-# Keys of older versions, and what to do.
+# Keys of older versions, and merge keys of YAML: what to do.
 GONE = dict.fromkeys(
     ("prediction_order", "max_jerk_rad_s3"),
     "leave it out; a servo takes several samples for each SYNC (samples_per_sync)",
-)
+) | {"<<": "merge keys are not read; an alias (*name) can only be a whole value"}
 
 
 def _unknown(key: str, known: list[str], where: str) -> str:
     if key in GONE:
-        return f"{key!r} in {where} is no key any more: {GONE[key]}"
+        return f"{key!r} in {where} is not a key: {GONE[key]}"
     near = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
     return f"unknown key {key!r} in {where}; {hint}"
