@@ -168,7 +168,7 @@ def state_words(node: NodeSnapshot) -> str:
 
 def position_words(module: ModuleSnapshot) -> str:
     if is_stale(module):
-        return "no data" if module.age_s is None else f"no data for {age_words(module.age_s)}"
+        return "no module PDO" if module.age_s is None else f"no data for {age_words(module.age_s)}"
     return module.position_state or "no status"
 
 
