@@ -228,7 +228,7 @@ def refusal(command: Command, line: str, code: int) -> str:
 WRONG = [
     ("nowhere.log", 1, "nowhere.log: cannot be read: No such file or directory"),
     ("bus.xyz", 2, "unknown suffix '.xyz'; bus logs end with .asc, "),
-    ("empty.log", 1, "there is no frame with an 11-bit identifier in it"),
+    ("empty.log", 1, "there is no classic frame with an 11-bit identifier in it"),
     ("bus.log --channel can7", 1, "there is no frame of channel can7; there are can0"),
     ("bus.log --out x.txt", 2, "--out x.txt: the name must end with .csv, .npz, .parquet"),
     ("bus.log --out none/x.csv", 2, "--out none/x.csv: there is no folder none"),
@@ -238,7 +238,7 @@ WRONG = [
     ("bus.log --report ./bus.log", 2, "--out, --frames, --report: must differ, also from the log"),
     ("bus.log --set 'adapt={ofset: 1}'", 2, "unknown key 'ofset' in adapt; did you mean 'offset'?"),
     ("bus.log --out x.csv --report x.csv", 2, "--out, --frames, --report: must differ, also from the log"),
-    ("empty.log --frames words.asc", 1, "there is no frame with an 11-bit identifier in it"),
+    ("empty.log --frames words.asc", 1, "there is no classic frame with an 11-bit identifier in it"),
 ]
 
 
@@ -322,7 +322,7 @@ def test_each_log_has_its_row_and_a_second_run_does_what_has_changed(folder: Pat
         rows
     )
     by_name = {Path(row["log"]).stem: row for row in rows}
-    assert by_name.pop("bad")["error"].endswith("1 damaged lines: record it with candump -L")
+    assert by_name.pop("bad")["error"].endswith("1 damaged lines: record it with candump -L (UTF-8)")
     for n in range(GOOD):
         row = by_name[str(n)]
         assert (row["error"], row["samples"], row["amplitude_times"]) == (None, 100 + 10 * n, n)

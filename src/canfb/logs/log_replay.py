@@ -252,8 +252,8 @@ def _check_frames(log: BusLogFile) -> None:
         there = ", ".join(sorted(others))
         raise LogError(f"{log.path}: there is no frame of channel {log.channel}; there are {there}")
     if not channels:
-        damaged = f"; {lines} damaged lines: record it with candump -L" if lines else ""
-        raise LogError(f"{log.path}: there is no frame with an 11-bit identifier in it{damaged}")
+        damaged = f"; {lines} damaged lines: record it with candump -L (UTF-8)" if lines else ""
+        raise LogError(f"{log.path}: there is no classic frame with an 11-bit identifier in it{damaged}")
 
 
 def _store(module: ModuleConfig, state_dir: Path | None) -> MemoryStore | None:
