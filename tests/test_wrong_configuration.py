@@ -62,7 +62,7 @@ WRONG = {
     MODULE + "  adapt: [1]\n": "3: adapt must be a mapping",
     SECOND + "cob_id: 0x180}\n": "3: second_position: cob_id must be a whole number 385..1407, not 384",
     SECOND + "cob_id: 0x600}\n": "3: second_position: cob_id must be",
-    **{SECOND + f"cob_id: {n}}}\n": f"3: second_position: cob_id {n} is that" for n in ("0x183", "0x190")},
+    SECOND + "cob_id: 0x183}\n": "3: second_position: cob_id 0x183 is that of a PDO of the module",
     SECOND + "before_bytes: 5}\n": "3: second_position: before_bytes must be a whole number 0..4, not 5",
     SECOND + "after_bytes: -1}\n": "3: second_position: after_bytes must be",
     SECOND + "cob_id: 0x1B0}\n  times: true\n  samples_per_sync: 7\n":

@@ -144,14 +144,9 @@ def write_dcf(options: argparse.Namespace) -> int:
     else:
         with master_of(options) as master:
             configuration = read_configuration(NodeAccess(master, options.node, "node"))
+    inline, reals = options.table == INLINE, Reals(options.reals)
     files = ConfigurationFiles(
-        configuration,
-        options.out,
-        options.concise,
-        options.table == INLINE,
-        Reals(options.reals),
-        options.name,
-        words,
+        configuration, options.out, options.concise, inline, reals, options.name, words
     )
     if options.concise is not None and options.concise.resolve() == files.path.resolve():
         raise ConfigError(f"--concise {options.concise}: must differ from --out")

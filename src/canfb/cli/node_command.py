@@ -116,6 +116,5 @@ def listed(options: argparse.Namespace) -> int:
 
     with BusMaster(open_bus(chosen_bus(options)), 0.3) as master:
         found = scan(master, options.seconds)
-    return node_options.say_result(
-        options, Result([one.figures() for one in found], [one.line() for one in found] or [NOBODY])
-    )
+    lines = [one.line() for one in found] or [NOBODY]
+    return node_options.say_result(options, Result([one.figures() for one in found], lines))

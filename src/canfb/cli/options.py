@@ -389,7 +389,5 @@ def jittered(config: Config, options: argparse.Namespace) -> Config:
         )
     if options.jitter is None:
         return config
-    return replace(
-        config,
-        played=replace(config.simulation, sync_jitter_us=seconds * 1e6, sync_jitter_rms_us=0.0),
-    )
+    simulation = replace(config.simulation, sync_jitter_us=seconds * 1e6, sync_jitter_rms_us=0.0)
+    return replace(config, played=simulation)

@@ -140,14 +140,8 @@ class ModuleConfig(ChainConfig):
                 "second_position: no RPDO is left for cob_id beside the samples and their time: "
                 "leave out times, or take fewer samples_per_sync"
             )
-        sampled = () if source is not None else cob.TPDOS[: self.adc_pdos]
-        others = [tpdo + self.node_id for tpdo in cob.TPDOS] + [
-            tpdo + self.encoder_interface for tpdo in sampled
-        ]
-        if second is not None and second.cob_id in others:
-            raise ValueError(
-                f"second_position: cob_id {second.cob_id:#x} is that of a PDO of the module or of its samples"
-            )
+        if second is not None and second.cob_id in [tpdo + self.node_id for tpdo in cob.TPDOS]:
+            raise ValueError(f"second_position: cob_id {second.cob_id:#x} is that of a PDO of the module")
         if source is None and self.encoder_interface == self.node_id:
             raise ValueError(f"encoder_interface must differ from node_id {self.node_id}")
         for name, instead in WITHOUT_BUS.items():

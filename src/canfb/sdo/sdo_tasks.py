@@ -331,18 +331,13 @@ class SdoTasks:
             if is_domain:
                 self._node.download_domain(*entry.place, data)
             else:
-                self._node.write_bytes(
-                    *entry.place, data, SAVE_WITHIN_S if entry.index in SIGNATURES else None
-                )
+                slow = SAVE_WITHIN_S if entry.index in SIGNATURES else None
+                self._node.write_bytes(*entry.place, data, slow)
         except RefusedError as error:
             raise self._refused("writing", entry, error) from None
         now = self._read(entry) if before is not None else None
-        return _written(
-            before,
-            now,
-            Reading(entry, data, self._described.product),
-            self._warning() if was_valid else "",
-        )
+        warning = self._warning() if was_valid else ""
+        return _written(before, now, Reading(entry, data, self._described.product), warning)
 
     def _is_valid(self) -> bool:
         return bool(int(self._node.read_known(od.FEEDBACK_STATUS) or 0) & od.StatusBit.VALID)

@@ -75,9 +75,6 @@ class Pdo(NamedTuple):
     def carries(self, index: int) -> bool:
         return any(entry >> 16 == index for entry in self.entries)
 
-    def bytes_of(self) -> dict[int, int]:
-        return {entry: bit // 8 for entry, bit in reversed([*self.bits_of()]) if bit % 8 == 0}
-
 
 def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
     """The valid PDOs with 11-bit identifiers; ``parameters``, ``mapping``: indices of the first."""
@@ -160,7 +157,10 @@ def mapped_objects(read: Read) -> set[int]:
 def _layout(
     read: Read, parameters: int, mapping: int, tracks: Pair, earlier: Sequence[Pair]
 ) -> PdoLayout | None:
-    pdos = [(pdo.can_id, pdo.bytes_of()) for pdo in valid_pdos(read, parameters, mapping)]
+    pdos = [
+        (pdo.can_id, {entry: bit // 8 for entry, bit in reversed([*pdo.bits_of()]) if bit % 8 == 0})
+        for pdo in valid_pdos(read, parameters, mapping)
+    ]
 
     def carrier(pair: Pair) -> PdoLayout | None:
         both = ((can_id, at) for can_id, at in pdos if at.keys() >= set(pair))
