@@ -159,7 +159,7 @@ WRONG_USE = {
     **dict.fromkeys(("table write 0 t.yaml", "config dcf 0"), f"'0' {NOT_A_NODE}; see"),
     "table clear 0x20 --timeout 0": "--timeout 0: must be 0.01 to 60",
     # monitor
-    **{f"monitor {node}": NOT_A_NODE for node in ("0", "128", "--web 200")},
+    **{f"monitor {node}": f"'{node.split()[-1]}' {NOT_A_NODE}" for node in ("0", "128", "--web 200")},
     "monitor --log x.log -i virtual": "--interface: not with --log",
     "monitor --frames --log x.log -c can0": "--channel: not with --log",
     "monitor --updates 0 --json": "'0' is not a number above 0",
