@@ -134,20 +134,19 @@ def test_a_write_to_2014h_learns_the_offset_again() -> None:
     assert axis.module.chain.second is None
 
 
-@each("n, written", [(N, (0x2014, 4, 0.6 / N)), (1250, (0x2001, 1, N))])
+@each("n, index, subindex, value", [(N, 0x2014, 4, 0.6 / N), (1250, 0x2001, 1, N)])
 @each("samples", [1, 2])
-def test_a_start_in_motion_is_not_believed_for_another_sensor(
-    n: int, written: tuple[int, int, float], samples: int
+def test_an_open_start_stays_open_for_another_sensor(
+    n: int, index: int, subindex: int, value: float, samples: int
 ) -> None:
-    """What was written says nothing of the speed, which the sensor had yet to confirm."""
+    """What is written says nothing of the speed, which the sensor has yet to confirm."""
     drive = second(before_bytes=3, tolerance_revolutions=0.3 / N, increments=1 << 24)
     axis, away = Axis(second_position=drive, cycles_per_revolution=n), []
     axis.remote.nmt.send_command(0x81)
     axis.start()
-    for k in range(60):
-        if k == samples:
-            index, subindex, value = written
-            axis.sdo[index][subindex].raw = value
+    axis.run(samples, 1.72)
+    axis.sdo[index][subindex].raw = value
+    for _ in range(60):
         status, feedback = axis.cycle(1.72), axis.module.feedback
         assert feedback is not None
         if status & StatusBit.VALID:
