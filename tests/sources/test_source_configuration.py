@@ -280,9 +280,7 @@ from dataclasses import dataclass, field
 
 from canfb.checks import number
 from canfb.signal.sample import Sample
-from canfb.sources.protocol import Source, SourceEnded
-from canfb.sources.protocol import SourceConfig
-from canfb.sources.protocol import Surroundings
+from canfb.sources.protocol import Source, SourceConfig, SourceEnded, Surroundings
 
 
 @dataclass(frozen=True, kw_only=True)
