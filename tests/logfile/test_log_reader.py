@@ -298,8 +298,7 @@ def test_stamps_late_or_far_ahead_move_no_others(off_s: float, every: int, burst
 @given(back_s=st.one_of(st.floats(0.003, 0.4), st.floats(2.0, 1e6)), size=st.sampled_from([100, 333, 4000]))
 def test_a_clock_that_was_set_back_keeps_the_order(back_s: float, size: int) -> None:
     frames = cyclic(500)
-    at = 100.5 - back_s
-    both = [*frames, *cyclic(500, at)]
+    both = [*frames, *cyclic(500, 100.5 - back_s)]
     assert put_in_order(both, size) == both
 
 

@@ -56,7 +56,7 @@ from canfb.calibration.result import (
     root_mean,
     samples_in_bins,
 )
-from canfb.calibration.solver import MIN_BLOCKS, ORDER_STEPS, Progress, Solution, Solver, no_progress, reject
+from canfb.calibration.solver import ORDER_STEPS, Progress, Solution, Solver, no_progress, reject
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
@@ -184,7 +184,7 @@ def _change(whole: Blocks, fit: JointFit, sensitivity: FloatArray, doubt: float)
     left_out = lasting(2 * fit.blocks.used.sum(axis=1) < whole.used.sum(axis=1))
     moving = np.flatnonzero(fit.informative)  # at standstill nobody sees a table
     for count in (THIRDS, FINE):
-        if len(moving) < count * MIN_BLOCKS:
+        if len(moving) < 4 * count:
             break
         divided = np.array_split(moving, count) + left_out
         parts = [_fit_of_part(whole, fit, rows) for rows in divided]
