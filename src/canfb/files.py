@@ -11,6 +11,8 @@ from pathlib import Path
 
 from canfb.errors import CanfbError, ConfigError, saying
 
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # its marks
+
 
 def read_bytes(path: Path, refuse: type[Exception]) -> bytes:
     """``refuse`` is raised, in one line."""
@@ -20,7 +22,7 @@ def read_bytes(path: Path, refuse: type[Exception]) -> bytes:
 
 def decoded(data: bytes) -> str:
     """As text: UTF-8, UTF-16 with its mark, else Windows-1252, in which instruments write units."""
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    encoding = "utf-16" if data[:2] in UTF_16 else "utf-8-sig"
     try:
         return data.decode(encoding)
     except UnicodeDecodeError:

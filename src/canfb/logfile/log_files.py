@@ -30,7 +30,7 @@ import can
 from can.io import MESSAGE_READERS, MESSAGE_WRITERS
 
 from canfb.errors import CanfbError, ConfigError
-from canfb.files import decoded
+from canfb.files import UTF_16, decoded
 from canfb.rows import Row, listed, those
 
 GZIP = ".gz"
@@ -77,7 +77,9 @@ UNREADABLE = (OSError, EOFError, zlib.error)  # What reading a file raises, comp
 def opened(path: Path) -> Iterator[tuple[Any, IO[bytes]]]:
     """The content, unpacked, and the file itself for its place."""
     with path.open("rb") as raw:
-        yield (gzip.GzipFile(fileobj=raw) if log_suffix(path)[1] else raw), raw
+        file: Any = gzip.GzipFile(fileobj=raw) if log_suffix(path)[1] else raw
+        is_utf_16 = file.peek(2)[:2] in UTF_16
+        yield io.BytesIO(file.read().decode("utf-16", "replace").encode()) if is_utf_16 else file, raw
 
 
 class LogError(CanfbError):

@@ -20,6 +20,7 @@ from typing import Any
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
 from canfb.errors import saying
+from canfb.files import decoded
 
 Contents = dict[str, dict[str, str]]  # The keys of a file and their texts, by section.
 
@@ -144,12 +145,7 @@ def parse(content: bytes) -> Contents:
 
 def _text(content: bytes) -> str:
     """Lines without blanks around them: an indented one would continue the one before."""
-    marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
-    try:
-        text = content.decode("utf-16" if marked else "utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("cp1252", "replace")
-    text, _, _ = text.partition("\x1a")  # the end of a text file, once
+    text, _, _ = decoded(content).partition("\x1a")  # the end of a text file, once
     return "\n".join(line.strip() for line in re.split(r"\r\n?|\n", text))
 
 
