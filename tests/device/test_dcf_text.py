@@ -32,11 +32,11 @@ ObjFlags=0x3
 [2A02]
 ParameterName=Content
 ObjectType=0x2
-ObjFlags=0x1
+ObjFlags=001
 [2A03]
 ParameterName=Name
 ObjectType=0x7
-DataType=0x0009
+DataType=011
 AccessType=rw
 [2A04]
 ParameterName=Switch

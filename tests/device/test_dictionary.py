@@ -216,10 +216,8 @@ def test_a_file_that_is_refused_is_refused_again_with_its_own_name(tmp_path: Pat
 
 def octal(text: str) -> str:
     """Every number of the keys that have one, with a leading 0 (CiA 306)."""
-    numbers = re.compile(
-        r"^((?:DataType|ObjectType|PDOMapping|LowLimit|HighLimit)=)(0x[0-9A-Fa-f]+|\d+)$", re.M
-    )
-    return numbers.sub(lambda found: f"{found[1]}0{int(found[2], 0):o}", text)
+    numbers = r"^((?:DataType|ObjectType|PDOMapping|LowLimit|HighLimit)=)(0x[0-9A-Fa-f]+|\d+)$"
+    return re.sub(numbers, lambda found: f"{found[1]}0{int(found[2], 0):o}", text, flags=re.M)
 
 
 def cased(case: Callable[[str], str], pattern: str, text: str) -> bytes:
@@ -265,6 +263,8 @@ def test_an_odd_file_means_the_same(path: Path, odd: str, tmp_path: Path) -> Non
 
 
 def test_numbers_as_tools_write_them() -> None:
-    assert [eds.number(text, 0x03, 1) for text in ("+100", "0xFF9C", "0xFFFFFF9C")] == [100, -100, -100]
+    assert {eds.number(text, 0x03, 1) for text in ("-0144", "0xFF9C", "0xFFFFFF9C", "0177634")} == {-100}
+    assert [eds.number(text, 0x15, 1) for text in ("0x64", "0xFFFFFFFFFFFFFF9C")] == [100, -100]
+    assert eds.number("+100", 0x03, 1) == 100
     assert eds.number("0x42C80000", 0x08, 1) == eds.number("100.0", 0x08, 1) == 100.0
-    assert eds.number("0xC059000000000000", 0x11, 1) == -100.0
+    assert eds.number("0xFFFFFFFFFFFFFF9C", 0x03, 1) == eds.number("0xC059000000000000", 0x11, 1) == -100.0

@@ -149,7 +149,7 @@ def dcf_text(
             options["ParameterValue"] = _written(options, values[place], reals)
         if place in files:
             options["DownloadFile"] = files[place]
-        flags = int(options.get("ObjFlags") or "0", 0)
+        flags = eds.whole(options.get("ObjFlags") or "0")
         if flags & REFUSE_ON_DOWNLOAD:
             options["ObjFlags"] = f"0x{flags & ~REFUSE_ON_DOWNLOAD:X}"
     info = contents.setdefault("FileInfo", {})
@@ -197,7 +197,7 @@ def _is_text_of(text: str, data_type: int, data: bytes) -> bool:
 
 
 def _written(options: Mapping[str, str], value: Any, reals: Reals) -> str:
-    data_type = int(options["DataType"], 0)
+    data_type = eds.whole(options["DataType"])
     if data_type in datatypes.FLOATS:
         return real_as_text(data_type, value, reals)
     if data_type in datatypes.STRINGS:

@@ -249,7 +249,7 @@ def _description(
 def number(text: str, data_type: int, node_id: int) -> Any:
     """A default or a limit as the file writes it; None for an empty text.
 
-    `$NODEID` is replaced; a leading 0 makes a number octal; a hexadecimal number beyond the positive range
+    `$NODEID` is replaced; a leading 0 means octal; a hexadecimal or octal one beyond the positive range
     of a signed type is its two's complement, that of a REAL its bits (CiA 306). ValueError when the text is
     not such a number.
     """
@@ -267,8 +267,8 @@ def number(text: str, data_type: int, node_id: int) -> Any:
     terms = text.removeprefix("+").split("+")
     value = sum(node_id if term.strip().upper() == "$NODEID" else whole(term) for term in terms)
     bits = datatypes.SIGNED_BITS.get(data_type, 0)
-    # Some tools write it with 32 bits for any type.
-    wraps = [1 << width for width in (bits, 32) if bits and "0x" in text.lower()]
+    # Some tools write it with 32 bits, or 64, for any type.
+    wraps = [1 << width for width in (bits, 32, 64) if terms[0].startswith("0") and width >= bits > 0]
     value -= next((wrap for wrap in wraps if wrap - (1 << bits - 1) <= value < wrap), 0)
     return bool(value) if data_type == DataType.BOOLEAN else value
 
