@@ -184,7 +184,7 @@ def _change(whole: Blocks, fit: JointFit, sensitivity: FloatArray, doubt: float)
     left_out = lasting(2 * fit.blocks.used.sum(axis=1) < whole.used.sum(axis=1))
     moving = np.flatnonzero(fit.informative)  # at standstill nobody sees a table
     for count in (THIRDS, FINE):
-        if len(moving) < 4 * count:
+        if len(moving) < 4 * count:  # blocks: the covariance of a fit to four says how uncertain it is
             break
         divided = np.array_split(moving, count) + left_out
         parts = [_fit_of_part(whole, fit, rows) for rows in divided]
