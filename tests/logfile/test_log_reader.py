@@ -295,6 +295,13 @@ def test_stamps_late_or_far_ahead_move_no_others(off_s: float, every: int, burst
     assert stamps[0] == sorted(stamps[off_s < 0.0])
 
 
+@given(st.integers(1, 500), st.integers(1, 90), st.sampled_from([100, 333, 4000]))
+def test_two_frames_that_changed_places_get_them_back(first: int, apart: int, size: int) -> None:
+    frames = cyclic(200)
+    frames[first], frames[first + apart] = frames[first + apart], frames[first]
+    assert put_in_order(frames, size) == cyclic(200)
+
+
 @examples(25)
 @given(back_s=st.one_of(st.floats(0.003, 0.4), st.floats(2.0, 1e6)), size=st.sampled_from([100, 333, 4000]))
 def test_a_clock_that_was_set_back_keeps_the_order(back_s: float, size: int) -> None:

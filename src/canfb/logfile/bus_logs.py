@@ -53,14 +53,14 @@ MOST_HELD = 1 << 16  # frames: stamps that stand still come to an end as well
 
 
 def in_order(batches: Iterable[list[Frame]], counters: LogCounters) -> Iterator[list[Frame]]:
-    """The same frames in the order of their stamps, although some were written down late.
+    """The same frames in the order of their stamps, though some were written late.
 
-    Stamps (seconds, of any clock) go back where the clock was set, and nowhere else. Frames with the same
+    Stamps (seconds, any clock) go back where the clock was set, and nowhere else. Frames of one
     stamp keep their order, and those whose stamp is no number their place.
 
     A step back is a clock that was set if the frames behind it fill half of the way to the newest stamp
-    without reaching it, and half of them have a CAN-ID that came with a later stamp; or if it is longer than
-    the window and lasts.
+    without reaching it, are fewer than those before it with a later stamp, and half of them have a CAN-ID
+    that came with one; or if it is longer than the window and lasts.
     """
     held: list[Frame] = []
     for batch, end in chain(zip(batches, repeat(False)), [([], True)]):
@@ -133,7 +133,7 @@ def _stamps(frames: list[Frame]) -> list[float]:
 def _clock_was_set(frames: list[Frame], stamps: list[float], begin: int, newest: float) -> tuple[bool, int]:
     """Whether it was set before this frame, and where the frames end that say so.
 
-    That is ``len(frames)`` if there are too few of them to say.
+    That is ``len(frames)`` if they are too few.
     """
     back_s = newest - stamps[begin]
     is_long = back_s > WINDOW_S
@@ -144,7 +144,7 @@ def _clock_was_set(frames: list[Frame], stamps: list[float], begin: int, newest:
         if is_long or older > LOOK_BEHIND:
             break
         before[frames[n][0]] = max(stamps[n], before.get(frames[n][0], stamps[n]))
-    again = 0
+    later, again = begin - n - older, 0
     for n in range(begin, len(frames)):
         stamp = stamps[n]
         if stamp >= newest:
@@ -153,7 +153,7 @@ def _clock_was_set(frames: list[Frame], stamps: list[float], begin: int, newest:
         if is_long and n - begin == MOST_LATE:
             return True, n
         if not is_long and stamp - stamps[begin] >= back_s / 2.0 and n > begin:
-            return 2 * again >= n - begin, n
+            return 2 * again >= n - begin and (later > n - begin or not older), n
     return is_long, len(frames)
 
 
