@@ -537,6 +537,7 @@ CHANGES: dict[str, Changed] = {
     "jump at half time": lambda s, c, u: (s, c + 100.0 * (u > 0.5)),
     "jump in a short measurement": lambda s, c, u: (s[:5000] + 300.0 * (u[:5000] > 0.3), c[:5000]),
     "jump near the end": lambda s, c, u: (s, c + 20.0 * (u > 0.9)),
+    "both larger near the end": lambda s, c, u: (s * (1.0 + 0.2 * (u > 0.95)), c * (1.0 + 0.2 * (u > 0.95))),
     "exchanged": lambda s, c, u: (np.where(u > 0.5, c, s), np.where(u > 0.5, s, c)),
     "inverted": lambda s, c, u: (np.where(u > 0.4, -s, s), c),
 }

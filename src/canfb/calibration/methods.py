@@ -196,11 +196,11 @@ def _change(whole: Blocks, fit: JointFit, sensitivity: FloatArray, doubt: float)
 
 def _fit_of_part(whole: Blocks, fit: JointFit, rows: IntArray) -> JointFit:
     """The fit to these blocks alone. Where most samples had been left out, it is they that count here."""
-    kept, whole, noise, motion = fit.blocks.take(rows), whole.take(rows), fit.noise, fit.motion[rows]
+    kept, whole, motion = fit.blocks.take(rows), whole.take(rows), fit.motion[rows]
     if 2 * kept.samples < whole.samples:
-        coarse = fit_jointly(whole, fit.waveform, motion, noise=noise)
-        kept, noise, motion = reject(whole, coarse), coarse.noise, coarse.motion
-    return fit_jointly(kept, fit.waveform, motion, rounds=6, noise=noise)
+        fit = fit_jointly(whole, fit.waveform, motion, noise=fit.noise)
+        kept, motion = reject(whole, fit), fit.motion
+    return fit_jointly(kept, fit.waveform, motion, rounds=6, noise=fit.noise)
 
 
 def measured_error(tables: list[FloatArray]) -> float:
