@@ -47,60 +47,31 @@ def test_beyond_02_an_abort_without_a_transfer(tester: Tester) -> None:
     assert tester.upload(NAME) == name_of(tester)
 
 
-def start_segmented_upload(tester: Tester) -> str:
-    tester.ask(f"40 {NAME}")
-    tester.ask("60")
-    return NAME
+# The object of a transfer; its first request, the second one, how long its answers take, and how they begin.
+STARTS: dict[str, tuple[str, str, str, float, list[str]]] = {
+    "segmented upload": (NAME, "40 {}", "60", 0.0, [""]),
+    "segmented download": (HEARTBEAT, "21 {} 02", "", 0.0, []),
+    "block download": (HEARTBEAT, "C6 {} 02", "", 0.0, []),
+    "end of a block download": (HEARTBEAT, "C6 {} 02", "81 E8 03", 0.0, ["A2 01"]),
+    "block upload": (EDS_FILE, "A0 {} 7F", "", 0.0, []),
+    "amid a block of an upload": (EDS_FILE, "A0 {} 7F", "A3", 0.0, [""]),  # the server is still sending
+    "end of a block of an upload": (EDS_FILE, "A0 {} 04", "A3", 0.2, [""] * 4),
+}
 
 
-def start_segmented_download(tester: Tester) -> str:
-    tester.accept(f"21 {HEARTBEAT} 02")
-    return HEARTBEAT
-
-
-def start_block_download(tester: Tester) -> str:
-    tester.begin_block_download(HEARTBEAT, 2)
-    return HEARTBEAT
-
-
-def start_block_download_end(tester: Tester) -> str:
-    tester.begin_block_download(HEARTBEAT, 2)
-    assert tester.ask("81 E8 03")[:5] == "A2 01"
-    return HEARTBEAT
-
-
-def start_block_upload(tester: Tester) -> str:
-    tester.begin_block_upload(EDS_FILE, 0x7F)
-    return EDS_FILE
-
-
-def start_block_upload_segments(tester: Tester) -> str:
-    """Amid a block: the server is still sending."""
-    tester.begin_block_upload(EDS_FILE, 0x7F)
-    assert tester.sdo("A3")
-    return EDS_FILE
-
-
-def start_block_upload_acknowledge(tester: Tester) -> str:
-    tester.begin_block_upload(EDS_FILE, 0x04)
-    assert len(tester.sdo("A3", wait=0.2)) == 4
-    return EDS_FILE
-
-
-STARTS = [
-    start_segmented_upload,
-    start_segmented_download,
-    start_block_download,
-    start_block_download_end,
-    start_block_upload,
-    start_block_upload_segments,
-    start_block_upload_acknowledge,
-]
+def begin(tester: Tester, start: str) -> str:
+    multiplexer, first, second, wait_s, begins = STARTS[start]
+    assert tester.ask(first.format(multiplexer))[3:11] == multiplexer
+    if second:
+        answers = tester.sdo(second, wait_s)
+        assert len(answers) == len(begins) or "amid" in start
+        assert [answer[: len(one)] for answer, one in zip(answers, begins, strict=False)] == begins
+    return multiplexer
 
 
 @pytest.mark.parametrize("start", STARTS)
-def test_beyond_03_abort_by_the_client(tester: Tester, start: object) -> None:
-    multiplexer = start(tester)  # type: ignore[operator]
+def test_beyond_03_abort_by_the_client(tester: Tester, start: str) -> None:
+    multiplexer = begin(tester, start)
     assert tester.sdo(f"80 {multiplexer} 00 00 04 05") == []
     assert tester.wait(5.0) == []
     assert tester.read(0x1017) == 0
@@ -109,8 +80,8 @@ def test_beyond_03_abort_by_the_client(tester: Tester, start: object) -> None:
 
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("request_", ["40 00 10 00", "2B 17 10 00 E8 03", "40 08 10 00", "A4 08 10 00 14"])
-def test_beyond_03_a_new_request_amid_a_transfer(tester: Tester, start: object, request_: str) -> None:
-    start(tester)  # type: ignore[operator]
+def test_beyond_03_a_new_request_amid_a_transfer(tester: Tester, start: str, request_: str) -> None:
+    begin(tester, start)
     answer = tester.sdo(request_)[-1]
     served = answer[3:11] == request_[3:11] and answer[:2] != "80"
     if not served:
@@ -192,8 +163,8 @@ def test_beyond_07_protocol_switch_threshold(tester: Tester, threshold: int) -> 
 
 
 @pytest.mark.parametrize("start", STARTS)
-def test_beyond_08_a_silent_client(tester: Tester, start: object) -> None:
-    multiplexer = start(tester)  # type: ignore[operator]
+def test_beyond_08_a_silent_client(tester: Tester, start: str) -> None:
+    multiplexer = begin(tester, start)
     heard = only(tester.wait(30.0), 0x580 + tester.id)
     aborts = [data for data in heard if data[:11] == f"80 {multiplexer}"]
     assert aborts == [f"80 {multiplexer} 00 00 04 05"]
@@ -249,8 +220,8 @@ def test_beyond_09_a_time_out_of_one_leaves_the_other_alone(module: Tester) -> N
 
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("command", ["81", "82", "02"])
-def test_beyond_10_reset_or_stop_amid_a_transfer(tester: Tester, start: object, command: str) -> None:
-    start(tester)  # type: ignore[operator]
+def test_beyond_10_reset_or_stop_amid_a_transfer(tester: Tester, start: str, command: str) -> None:
+    begin(tester, start)
     heard = tester.nmt(command) + tester.wait(5.0)
     assert only(heard, 0x580 + tester.id) == []
     if command == "02":
