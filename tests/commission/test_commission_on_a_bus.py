@@ -153,10 +153,6 @@ def fail(bench: Bench, guard: Guard) -> None:
     raise BusError("the bus fails: cable")
 
 
-def interrupt(bench: Bench, guard: Guard) -> None:
-    guard.interrupt()
-
-
 def write_another(bench: Bench, guard: Guard) -> None:
     bench.module.receive(Frame(0x620, struct.pack("<BHBf", 0x23, 0x2010, 2, 7.0)), bench.bus.now)
 
@@ -169,7 +165,7 @@ IN_FORCE_AGAIN = r"; the limits from before are in force in module 32 \(20h\)"
     [
         (weaken, CommissioningError, f"flags samples with the new limits .* amplitude.*{IN_FORCE_AGAIN}"),
         (fail, CommissioningError, f"the bus fails: cable{IN_FORCE_AGAIN}"),
-        (interrupt, KeyboardInterrupt, None),
+        (lambda bench, guard: guard.interrupt(), KeyboardInterrupt, None),
         (write_another, CommissioningError, f"2010:02 reads 7, not .* as written{IN_FORCE_AGAIN}"),
     ],
 )
