@@ -259,7 +259,7 @@ class SignalChain:
         with the receptions, of this sample at ``received_s`` and of the SYNC that it answers at
         ``synced_s``, seconds, None where that is not known. One whose time fits nothing is a bad sample in
         motion; see :class:`canfb.signal.sample_times.SampleTimes`. It ``counts`` but where another one
-        answered this SYNC. Where ``elapsed`` is no number above 0, it is bad, and lost is what moves.
+        answered this SYNC. If ``elapsed`` is not finite and above 0, it is bad; a moving machine is lost.
 
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
         taken, in their order; the result is that of the newest, :attr:`between` has the others.
