@@ -220,9 +220,9 @@ def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Prog
             (row["trouble"], f"damaged   {row['trouble']}"),
             (row["left_out"], f"left out  {name}: {row['left_out']} frames with its CAN-IDs (--channel)"),
         )
+    samples = sum(row["samples"] or 0 for row in rows)
     lines.append(
-        f"{len(rows)} rows, {sum(row['samples'] or 0 for row in rows)} samples; "
-        f"{sum(row['error'] is not None for row in rows)} not done"
+        f"{len(rows)} rows, {samples} samples; {sum(row['error'] is not None for row in rows)} not done"
     )
     print("\n".join([*lines, *those((options.out, f"written  {options.out}"))]))
     return int(any(row["trouble"] or row["error"] for row in rows))

@@ -140,9 +140,9 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
         "encoder_interface": module.encoder_interface,
         "commands": following,
     }
+    nodes = f"node {module.node_id} ({module.node_id:02X}h), its encoder interface and SYNC"
     lines = [
-        f"running node {module.node_id} ({module.node_id:02X}h), its encoder interface and SYNC "
-        f"at {options.rate:g} Hz on {describe(words)}; end with Ctrl-C",
+        f"running {nodes} at {options.rate:g} Hz on {describe(words)}; end with Ctrl-C",
         *those((address, f"open {address}")),
         "next, in another terminal:",
         *(f"  {line}" for line in following),

@@ -106,11 +106,9 @@ def check_unlocked(module: NodeAccess) -> None:
         )
 
 
-def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str | None:
-    """Save: the object used, None where nothing can be kept; CommissioningError if it fails."""
-    store = saving_object(module, stores)
-    if store is None:
-        return None
+def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str:
+    """Save: the object used; CommissioningError if it fails."""
+    store = check_can_save(module, stores)
     try:
         module.write_bytes(*store, SAVE, SAVE_WITHIN_S)
     except RefusedError as error:
@@ -123,17 +121,12 @@ def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str |
     return f"1010:{store.subindex:02X}"
 
 
-def check_can_save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> None:
-    """CommissioningError if the module cannot save."""
-    if saving_object(module, stores) is None:
-        raise CommissioningError(
-            f"--save: {module.name} cannot save (1010h; canfb run needs a state_dir for it)"
-        )
-
-
-def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> od.Multiplexer | None:
-    can_save = (store for store in stores if int(module.read_known(store) or 0) & SAVES_ON_COMMAND)
-    return next(can_save, None)
+def check_can_save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> od.Multiplexer:
+    """The object that saves; CommissioningError if the module cannot."""
+    for store in stores:
+        if int(module.read_known(store) or 0) & SAVES_ON_COMMAND:
+            return store
+    raise CommissioningError(f"--save: {module.name} cannot save (1010h; canfb run needs a state_dir for it)")
 
 
 def write_conditioning(module: NodeAccess, conditioning: Conditioning) -> None:

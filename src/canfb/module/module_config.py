@@ -157,11 +157,8 @@ class ModuleConfig(ChainConfig):
     @classmethod
     def factory(cls, node_id: int, serial_number: int = 0) -> ModuleConfig:
         """Defaults, of any node-ID."""
-        return cls(
-            node_id=node_id,
-            serial_number=serial_number,
-            encoder_interface=cls.encoder_interface + (node_id == cls.encoder_interface),
-        )
+        interface = cls.encoder_interface + (node_id == cls.encoder_interface)
+        return cls(node_id=node_id, serial_number=serial_number, encoder_interface=interface)
 
     @property
     def adc_pdos(self) -> int:
