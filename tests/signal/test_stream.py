@@ -316,11 +316,14 @@ PHASES = st.floats(0, 1, exclude_max=True)
     st.lists(st.one_of(PHASES, PHASES, st.just(math.nan)), max_size=60),
     st.floats(0.01, 0.5),
     st.integers(1, 9),
+    st.sampled_from([0.0, -0.4, 7.5, 2.0**31, -(2.0**31)]),
 )
-def test_track_gives_the_bits_of_a_tracker(phases: list[float], limit: float, samples: int) -> None:
-    tracker = Tracker(limit)
+def test_track_gives_the_bits_of_a_tracker(
+    phases: list[float], limit: float, samples: int, speed: float
+) -> None:
+    tracker = Tracker(limit, speed)
     with blocks_of(samples):
-        assert bits(track(phases, limit)) == columns([(*tracker.update(phase),) for phase in phases])
+        assert bits(track(phases, limit, speed)) == columns([(*tracker.update(phase),) for phase in phases])
 
 
 @each("table", TABLES.values())

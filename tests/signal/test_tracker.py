@@ -4,13 +4,11 @@ import math
 from fractions import Fraction
 from random import Random
 
-import numpy as np
 import pytest
-from hypothesis import example, given, strategies as st
+from hypothesis import given, strategies as st
 
-from canfb.signal.blocks import Scratch
 from canfb.signal.limits import max_acceleration, narrowed_residual_limit
-from canfb.signal.tracker import EXACT, ROW, Track, Tracker, cycle_counts, split, track
+from canfb.signal.tracker import Track, Tracker, split, track
 
 phases = st.floats(0, 1, exclude_max=True)
 
@@ -81,23 +79,3 @@ def test_a_known_acceleration_narrows_the_limit() -> None:
     sharp = narrowed_residual_limit(1 / 3, 20_000, 2500, 1 / 25_000)
     assert sharp == pytest.approx(0.0127 + 0.05, abs=1e-4)
     assert narrowed_residual_limit(1 / 3, 20_000, 2500, 1e-3) == 1 / 3
-
-
-sizes = st.sampled_from([0, 1, -1, 5, -(2**31), 2**40, EXACT - 1, EXACT, -EXACT, 2**55, -(2**60)])
-
-
-@given(st.lists(st.integers(-2, 2), min_size=1, max_size=5 * ROW), sizes, sizes)
-@example([2] * (5 * ROW), EXACT - 1, 0)
-@example([-2, 2] * (2 * ROW), 0, EXACT // (4 * ROW) - 1)
-@example([1] * ROW, 2**60 + 1, 3)
-def test_the_counts_are_those_of_the_recursion(turns: list[int], cycles: int, step: int) -> None:
-    if abs(cycles) + abs(step) * len(turns) > 2**62:
-        step = 0
-    out = np.empty(len(turns), np.int64)
-    scratch = Scratch(len(turns))
-    scratch.b[:] = turns
-    cycle_counts(scratch.b, cycles, step, out, scratch)
-    for turn, got in zip(turns, out.tolist(), strict=True):
-        step += turn
-        cycles += step
-        assert got == cycles

@@ -33,7 +33,7 @@ from canfb.signal.supervision import (
     Supervision,
     repeats,
 )
-from canfb.signal.tracker import NOT_USUAL, Track, TrackResult, continues, steady_run
+from canfb.signal.tracker import NOT_USUAL, Track, TrackResult, continues, count_run
 from canfb.signal.witness.reference import Reference
 from canfb.signal.witness.second import SecondPosition
 from canfb.signal.witness.witness import CoarseTrack
@@ -422,8 +422,7 @@ class Stages:
         start: int = run.start
         cycles, phase = tracked.cycles, tracked.phase
         estimator, tracker = self.estimator, self._tracker
-        places = tracker.places
-        steady_run(tracker, tracked, start, run.stop, scratch)
+        count_run(tracker, tracked, run, scratch)
         followed = estimator.lost or tracked.ok[run].all()
         stop: int = run.stop if followed else start + int(tracked.ok[run].argmin())
         if stop > start and self._frozen.frozen_samples:
@@ -431,7 +430,6 @@ class Stages:
             equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
             stop = stop if equal is None else start + self._frozen.before_row(equal)
         if stop == start:
-            tracker.set_places(*places)
             return 0
         last = stop - 1
         self.place = Track(int(cycles[last]), float(phase[last]), float(tracked.residual[last]), True)

@@ -4,8 +4,7 @@ i(k) = 2 i(k-1) - i(k-2) + round(2 p(k-1) - p(k-2) - p(k)) is exact over any ran
 are not one interval apart the last speed is carried over the elapsed intervals.
 
 Over arrays it is bit for bit the same. The cycle count is the double cumulative sum of the turns between
-the samples, in integers. A matrix product adds up rows of 16 samples side by side, which is faster than
-numpy's running sums.
+the samples, in integers.
 """
 
 from __future__ import annotations
@@ -270,16 +269,6 @@ def check_residual_limit(limit: float) -> float:
 
 
 PLACES_BEFORE = 2  # a run starts from the samples that eq. 9 predicts by
-ROW = 16
-_PLACES = np.arange(1.0, ROW + 1.0)
-# A turn at one place of a row is in the step, and so in each later count once more: at a later
-# place it counts as often as the places are apart, and once.
-_TURN_COUNTS = np.maximum(0.0, _PLACES - _PLACES[:, np.newaxis] + 1.0)
-# What the turns of a row add to the step, and to the count beside the step before the row.
-_TOTALS = np.stack([np.ones(ROW), _TURN_COUNTS[:, -1]], axis=1)
-EXACT = 1 << 48  # sums of a row with counts of this size are exact in float64
-# OpenBLAS starts threads for a product of more than 2^18 multiplications; they cost more than they save.
-MOST_IN_PRODUCT = (1 << 18) // ROW
 
 
 def track(phase: ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0) -> TrackResult:
@@ -310,20 +299,16 @@ def track_block(tracker: Tracker, result: TrackResult, part: slice, scratch: Scr
     """
     start = part.start
     np.isnan(result.phase[part], out=scratch.bit)
-    for gap in (np.flatnonzero(scratch.bit) + start).tolist():
-        if gap >= start:
-            steady_run(tracker, result, start, gap, scratch)
-            start = _step_over(tracker, result, gap, part.stop)
-    steady_run(tracker, result, start, part.stop, scratch)
-
-
-def _step_over(tracker: Tracker, result: TrackResult, at: int, stop: int) -> int:
-    usable = 0
-    while at < stop and usable < PLACES_BEFORE:
-        usable = 0 if math.isnan(result.phase[at]) else usable + 1
-        _take_one(tracker, result, at)
-        at += 1
-    return at
+    for gap in [*(np.flatnonzero(scratch.bit) + start).tolist(), part.stop]:
+        while start < gap and not continues(tracker, result, start):
+            _take_one(tracker, result, start)
+            start += 1
+        if start < gap:
+            count_run(tracker, result, slice(start, gap), scratch)
+            tracker.go_on(result, gap)
+        if gap < part.stop:
+            _take_one(tracker, result, gap)
+        start = gap + 1
 
 
 def _take_one(tracker: Tracker, result: TrackResult, at: int) -> None:
@@ -346,70 +331,24 @@ def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
     result.phase[at - 2 : at] = before.phase, last.phase
 
 
-def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
-    """Samples start..stop, all with a phase and one interval apart: an integer cumulative sum.
+def count_run(tracker: Tracker, result: TrackResult, run: slice, scratch: Scratch) -> None:
+    """Samples that all have a phase, one interval apart: an integer cumulative sum. Where :func:`continues`.
 
-    ``scratch`` is at least as long as the run.
+    ``tracker`` stays before them. ``scratch`` is at least as long as the run.
     """
-    while start < stop and not continues(tracker, result, start):
-        _take_one(tracker, result, start)
-        start += 1
-    if start == stop:
-        return
+    start, stop = run.start, run.stop
     before, last, _ = tracker.places
-    phase, run = result.phase, slice(start, stop)
-    residual = result.residual[run]
-    c, turns = scratch.a[: stop - start], scratch.b[: stop - start]
+    phase, residual = result.phase, result.residual[run]
+    c, turns, steps = (room[: stop - start] for room in (scratch.a, scratch.b, scratch.index))
     np.multiply(phase[start - 1 : stop - 1], 2.0, out=c)
     c -= phase[start - 2 : stop - 2]
     c -= phase[run]
-    _round(c, turns, residual)
-    np.less(residual, tracker.residual_limit, out=result.ok[run])
-    cycle_counts(turns, last.cycles, last.cycles - before.cycles, result.cycles[run], scratch)
-    tracker.go_on(result, stop)
-
-
-def _round(c: FloatArray, turns: FloatArray, residual: FloatArray) -> None:
     np.rint(c, out=turns)
     np.subtract(turns, c, out=c)
     np.abs(c, out=residual)
-
-
-def cycle_counts(turns: FloatArray, cycles: int, step: int, out: IntArray, scratch: Scratch) -> None:
-    """Add up step(k) = step(k-1) + turns(k), i(k) = i(k-1) + step(k), i into ``out``.
-
-    ``turns`` are whole, at most 2 in size, and overwritten, as ``scratch.a`` and ``scratch.index``. Exact.
-    """
-    products = -(-len(turns) // MOST_IN_PRODUCT)
-    head = len(turns) // (ROW * products) * (ROW * products)
-    if abs(cycles) + abs(step) * head >= EXACT:
-        head = 0
-    if head:
-        cycles, step = _in_rows(turns[:head].reshape(products, -1, ROW), cycles, step, out[:head], scratch)
-    if head == len(turns):
-        return
-    steps = scratch.index[: len(turns) - head]
-    steps[:] = turns[head:]
-    steps[0] += step
+    np.less(residual, tracker.residual_limit, out=result.ok[run])
+    steps[:] = turns
+    steps[0] += last.cycles - before.cycles
     np.add.accumulate(steps, out=steps)
-    steps[0] += cycles
-    np.add.accumulate(steps, out=out[head:])
-
-
-def _in_rows(turns: FloatArray, cycles: int, step: int, out: IntArray, scratch: Scratch) -> tuple[int, int]:
-    rows = turns.reshape(-1, ROW)
-    totals = np.matmul(turns, _TOTALS).reshape(-1, 2)
-    steps, counts = np.empty(len(rows) + 1), np.empty(len(rows) + 1)  # before each row, and after the last
-    steps[0], counts[0] = step, cycles
-    steps[1:] = totals[:, 0]
-    np.add.accumulate(steps, out=steps)
-    np.multiply(steps[:-1], ROW, out=counts[1:])
-    counts[1:] += totals[:, 1]
-    np.add.accumulate(counts, out=counts)
-    # Step y and count x before a row come in as turns, x + y at its first place and -x at the second one:
-    # that makes the step x + y, and then y; one product gives the counts.
-    rows[:, 1] -= counts[:-1]
-    rows[:, 0] += counts[:-1] + steps[:-1]
-    sums = np.matmul(turns, _TURN_COUNTS, out=scratch.a[: turns.size].reshape(turns.shape))
-    out[:] = sums.reshape(-1)
-    return int(counts[-1]), int(steps[-1])
+    steps[0] += last.cycles
+    np.add.accumulate(steps, out=result.cycles[run])
