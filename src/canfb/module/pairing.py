@@ -18,8 +18,8 @@ from canfb.module.objects.sample_input import NO_RPDO, LocalSource, SampleInput,
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain
-from canfb.signal.pauses import LARGEST_SLIP_CYCLES
 from canfb.signal.sample import TICK_S, Feedback, Sample
+from canfb.signal.speeds import SLIP_CYCLES
 from canfb.signal.supervision import VALID
 from canfb.timing.answers import Answers
 from canfb.timing.syncs import USUAL, Syncs, SyncVerdict
@@ -375,7 +375,7 @@ class Pairing(ProcessData):
             counts = parts.sine.value, parts.cosine.value
             repeats = counts == self._tracks if self._elapsed else self._stages.repeats(*counts)
             if not (syncs.extra_came or repeats):
-                self._moves |= not self._stages.is_near(*counts, LARGEST_SLIP_CYCLES)
+                self._moves |= not self._stages.is_near(*counts, SLIP_CYCLES)
                 self._lose_count(1.0, now)
             elif next_may_have_come:
                 self._publishing.withhold()  # equal counts may be whole cycles further on

@@ -19,6 +19,7 @@ from canfb.signal.pauses import Pauses
 from canfb.signal.sample import Feedback, Sample, in_order
 from canfb.signal.sample_times import CROWDED, REPEATED, RESTARTED, SUSPECT, SampleTimes
 from canfb.signal.second_position import SecondSensor
+from canfb.signal.speeds import SLIP_CYCLES
 from canfb.signal.stages import Extras, Stages
 from canfb.signal.supervision import COASTING, LOST, MISSED, VALID
 from canfb.signal.witness.reference import Reference
@@ -226,11 +227,13 @@ class SignalChain:
 
     def slips(self, intervals: float) -> bool:
         """Within these intervals of SYNC the machine moves so far that its phase could mislead."""
-        return self._pauses.slips(intervals * self._per_sync)
+        return self._pauses.moves(intervals * self._per_sync, SLIP_CYCLES)
 
     def displaces(self, intervals: float) -> bool:
         """A sample that was taken so many intervals of SYNC earlier or later is not a good one."""
-        return self._pauses.displaces(intervals * self._per_sync)
+        declared = self.stages.estimator.declared
+        most = SLIP_CYCLES if declared.acceleration is None else declared.phase_error
+        return self._pauses.moves(intervals * self._per_sync, most)
 
     def uncertain(self, intervals: float) -> Feedback | None:
         """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.

@@ -10,11 +10,10 @@ from __future__ import annotations
 from math import inf
 
 from canfb.signal import speeds
-from canfb.signal.speeds import STILL_CYCLES, STILL_SAMPLES
+from canfb.signal.speeds import SLIP_CYCLES, STILL_CYCLES, STILL_SAMPLES
 from canfb.signal.stages import Stages
 
 FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
-LARGEST_SLIP_CYCLES = 0.15  # with the residual limit of 1/3 less than half a cycle
 
 
 class Pauses:
@@ -28,18 +27,8 @@ class Pauses:
         # The speed at a reset, cycles per interval; inf: the position was lost, and the machine may turn.
         self.turned = 0.0
 
-    # :class:`canfb.signal.chain.SignalChain` says what both are.
-
-    def slips(self, intervals: float) -> bool:
-        return self._moves(intervals, LARGEST_SLIP_CYCLES)
-
-    def displaces(self, intervals: float) -> bool:
-        declared = self._stages.estimator.declared
-        return self._moves(
-            intervals, LARGEST_SLIP_CYCLES if declared.acceleration is None else declared.phase_error
-        )
-
-    def _moves(self, intervals: float, cycles: float) -> bool:
+    def moves(self, intervals: float, cycles: float) -> bool:
+        """The machine goes so far within these intervals; not one whose position is lost."""
         estimator = self._stages.estimator
         tracker = estimator.tracker
         if estimator.lost or not tracker.started:
@@ -107,6 +96,6 @@ class Pauses:
         declared, until = estimator.declared.acceleration or 0.0, intervals + 1.0
         longest = until * max(1.0, until / 2.0)
         away = max(step, abs(speed)) * until + max(abs(speeds.acceleration(places)), declared) * longest
-        if abs(speed) * intervals > LARGEST_SLIP_CYCLES or not away < FASTEST_STANDSTILL_CYCLES:
+        if abs(speed) * intervals > SLIP_CYCLES or not away < FASTEST_STANDSTILL_CYCLES:
             return inf, 0.0
         return speed * until, declared * longest

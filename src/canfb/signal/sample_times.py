@@ -18,6 +18,7 @@ from math import inf
 
 from canfb.signal.bounded_motion import HOLE_INTERVALS
 from canfb.signal.sample import TICK_S, TICKS
+from canfb.signal.speeds import SLIP_CYCLES
 from canfb.timing.grid import SHOWN, UNDECLARED, Grid
 
 HALF_TICKS = TICKS // 2
@@ -27,9 +28,6 @@ RECEIVED_S = 10e-6 / 3  # the mean distance of two receive times that are exact 
 HEARD_S = 75e-6  # two receive times of 30 us, and the interface
 FAR_S = 10 * HEARD_S  # counts in their mean, once the host has started: ROW wrong times do not reach HEARD_S
 DRIFT = 2e-4  # of two clocks, 100 ppm each
-# A time may be wrong by no more than this at the speed of the machine, without a second opinion: with the
-# residual limit of 1/3 it is less than half a cycle.
-SLIP_CYCLES = 0.15
 SAME_PACE = 0.002  # of the interval: a limit of acceleration counts with its square
 REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 
@@ -150,24 +148,25 @@ class SampleTimes:
             return REPEATED
         unit = self.unit_s
         self.passed = intervals = ticks * TICK_S / unit
+        self.off = abs(intervals - counted)
         passed_s, unsure_s = ticks * TICK_S, UNDECLARED * unit
         apart_s, heard_apart_s = _apart_s(self._synced_s, synced_s), _apart_s(self._received_s, received_s)
         if intervals < CLOSEST:
             kind = CROWDED if ticks > 0 else REPEATED if intervals >= -OLDEST else SUSPECT
             if kind == CROWDED and heard_apart_s is not None and heard_apart_s - passed_s > unsure_s:
                 kind = SUSPECT
-            return self._refused(time_100ns, ticks, counted, intervals - counted, kind, received_s, synced_s)
+            return self._refused(time_100ns, ticks, counted, kind, received_s, synced_s)
         by_count = round(intervals), (intervals - counted) * unit / TICK_S
         places, off = grid.nearest(self._at + ticks) if grid.period else by_count
         off_s = abs(off) * TICK_S
         harmless_s = min(unsure_s, SLIP_CYCLES * unit / speed_cycles) if speed_cycles else unsure_s
         spare_s, most_s = max(HEARD_S, harmless_s), 2.0 * max(grid.allowed * TICK_S, unsure_s)
-        wrong, error_s, by_call = abs(intervals - counted), 0.0, False
+        error_s = 0.0
         if not self._refused_counted:
             self._right_heard_s = self._heard_s
         if heard_apart_s is not None and apart_s is not None:
             error_s = abs(apart_s - passed_s)
-            wrong = max(wrong, error_s / unit, abs(apart_s / unit - counted))
+            self.off = max(self.off, error_s / unit, abs(apart_s / unit - counted))
             self._heard_s += (min(error_s, FAR_S if grid.period else unit) - self._heard_s) / SHOWN
         # That of a timer, or of a clock that each SYNC advances, is closer to the line than to SYNC.
         is_timer = off_s <= spare_s and max(grid.deviation * TICK_S, RECEIVED_S) < self._right_heard_s
@@ -177,13 +176,13 @@ class SampleTimes:
             if synced_s is not None and received_s is None:
                 soonest_s, least_s = synced_s - (self._at + ticks) * TICK_S, self._least_s
                 late_s = soonest_s - least_s
-                if right:
-                    right = harmless_s == unsure_s or not spare_s < -late_s < inf
-                    if right:
-                        self._least_s = min(soonest_s, least_s + DRIFT * passed_s * (late_s < HEARD_S))
+                if right and harmless_s < unsure_s and spare_s < -late_s < inf:
+                    right = False
+                elif right:
+                    self._least_s = min(soonest_s, least_s + DRIFT * passed_s * (late_s < HEARD_S))
                 elif counted > self._refused_counted:  # SYNCs were not sent, not received, or sent late
                     before, self._agrees = self._agrees, abs(late_s) <= unsure_s
-                    right = by_call = before and self._agrees
+                    right = before and self._agrees
             elif heard_apart_s is not None:
                 heard = [
                     abs(one - passed_s) <= unsure_s for one in (apart_s, heard_apart_s) if one is not None
@@ -198,10 +197,9 @@ class SampleTimes:
                 off_s <= spare_s and error_s < unsure_s and (apart_s is None or is_timer)
             )
         kind = REPEATED if heard_apart_s is None and grid.period and places < counted - 0.5 else SUSPECT
-        if not right or (by_call and kind == REPEATED):
-            return self._refused(
-                time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
-            )
+        if not right or kind == REPEATED:  # right by its call, but at an earlier place
+            kind = intervals if right else kind
+            return self._refused(time_100ns, ticks, counted, kind, received_s, synced_s)
         self._at_count = places == round(counted)
         # SYNC at another rate counts other intervals: the samples are another line, but not while the machine
         # moves, since what is declared for the interval would not hold for a longer one.
@@ -235,28 +233,27 @@ class SampleTimes:
         time_100ns: int,
         ticks: int,
         counted: float,
-        off: float,
         kind: float,
         received_s: float | None,
         synced_s: float | None,
     ) -> float:
         """``kind``, or RESTARTED: those of several SYNCs in a row go on with each other."""
-        self.off = abs(off)
         if counted <= self._refused_counted and kind != CROWDED:
             return kind
         self._refused_counted = counted
-        if not self.grid.period and kind == SUSPECT:
-            self.grid.learn(self._at + ticks)  # the clock is as even where its SYNC was late
+        grid, at = self.grid, self._at + ticks
+        if not grid.period and kind == SUSPECT:
+            grid.learn(at)  # the clock is as even where its SYNC was late
             return kind
-        if not self.grid.refuse(self._at + ticks):
-            if kind > 0.0:  # intervals, right by its call: its SYNC was late, or of another rate
-                self.grid.skip(max(0, self.grid.nearest(self._at + ticks)[0]))
-                self._take(time_100ns, ticks, received_s, synced_s)
-            return kind
-        self.grid.set_again(self.grid.row)
-        self._least_s = inf
-        self._take(time_100ns, ticks, received_s, synced_s)
-        return RESTARTED
+        if grid.refuse(at):
+            grid.set_again(grid.row)
+            self._least_s = inf
+            kind = RESTARTED
+        elif kind > 0.0:  # intervals, right by its call: its SYNC was late, or of another rate
+            grid.skip(max(0, grid.nearest(at)[0]))
+        if kind > 0.0 or kind == RESTARTED:
+            self._take(time_100ns, ticks, received_s, synced_s)
+        return kind
 
 
 def _apart_s(before_s: float | None, now_s: float | None) -> float | None:
