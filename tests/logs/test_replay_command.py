@@ -229,7 +229,7 @@ WRONG = [
     ("nowhere.log", 1, "nowhere.log: cannot be read: No such file or directory"),
     ("bus.xyz", 2, "unknown suffix '.xyz'; bus logs end with .asc, "),
     ("empty.log", 1, "there is no classic frame with an 11-bit identifier in it"),
-    ("bus.log --channel can7", 1, "there is no frame of channel can7; there are can0"),
+    ("bus.log --channel can7", 1, "there is no classic frame of channel can7 in it; there are can0"),
     ("bus.log --out x.txt", 2, "--out x.txt: the name must end with .csv, .npz, .parquet"),
     ("bus.log --out none/x.csv", 2, "--out none/x.csv: there is no folder none"),
     ("bus.log --table words.asc", 1, "this is not a correction table"),
@@ -322,7 +322,7 @@ def test_each_log_has_its_row_and_a_second_run_does_what_has_changed(folder: Pat
         rows
     )
     by_name = {Path(row["log"]).stem: row for row in rows}
-    assert by_name.pop("bad")["error"].endswith("1 damaged lines: record it with candump -L (UTF-8)")
+    assert by_name.pop("bad")["error"].endswith("line 1; record it with candump -L (UTF-8)")
     for n in range(GOOD):
         row = by_name[str(n)]
         assert (row["error"], row["samples"], row["amplitude_times"]) == (None, 100 + 10 * n, n)

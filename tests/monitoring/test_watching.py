@@ -117,7 +117,7 @@ def test_a_log_can_be_played_at_a_speed_and_pauses_are_passed_over(tmp_path: Pat
     assert monitor.clock.slept == [0.1, 0.1] * (len(monitor.shown) - 1), "a signal is noticed between"
 
 
-@pytest.mark.parametrize(("name", "text"), [("drive.log", "no frame in it"), ("drive.asc", "drive.asc: ")])
+@pytest.mark.parametrize(("name", "text"), [("drive.log", "no frame in it"), ("drive.asc", "; 1 damaged")])
 def test_what_is_no_log_is_one_line(name: str, text: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(b"" if name == "drive.log" else b"\0\1\2nothing\n")

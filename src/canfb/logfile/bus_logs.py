@@ -44,6 +44,7 @@ from canfb.logfile.log_files import (
     messages_of,
     opened,
 )
+from canfb.rows import those
 
 # A frame later than this does not get its place; it is taken as if it had come when it was written.
 WINDOW_S = 1.0
@@ -264,6 +265,18 @@ class BusLogFile:
             report(f"{self.path}: {words}")
         if self.trouble is not None:
             raise LogError(self.trouble)
+
+    def no_frame(self, what: str = "frame") -> LogError:
+        """Says what is there instead."""
+        words = [
+            f"{self.path}: there is no {what} in it",
+            *those((self.counters.left_out, f"there are {', '.join(sorted(self.counters.left_out))}")),
+            *self.counters.lines_left_out(),
+            *those(
+                (self.suffix == ".log" and self.counters.damaged_lines, "record it with candump -L (UTF-8)")
+            ),
+        ]
+        return LogError("; ".join(words))
 
     def _as_written(self) -> Iterator[list[Frame]]:
         """What readers raise has no common root: a damaged log is a finding, not the end."""

@@ -188,7 +188,7 @@ def messages_of(path: Path, suffix: str, counters: LogCounters) -> Iterator[can.
 class _Lines:
     """The frames of a text log: a block of lines at once, or line by line where one gives no whole frame.
 
-    ``frame`` says which lines should give one, ``cut`` which have lost their end; ``head`` comes before.
+    ``frame`` says which lines should give one, ``cut`` which are damaged; ``head`` comes before.
     """
 
     reader: type[Any]
@@ -221,7 +221,7 @@ class _Lines:
                 kept = self.kept(line)
                 if kept is not None:
                     yield self._number, kept
-                elif self.cut.fullmatch(line.strip()):
+                elif "\0" in line or self.cut.fullmatch(line.strip()):
                     self._counters.damaged(self._number)
         except UNREADABLE as error:  # what came before it is read first
             self._failure = error
@@ -257,9 +257,11 @@ class _AscLines(_Lines):
 
     reader = can.ASCReader
     frame = re.compile(r"\s*\d+\.\d+\s+(\d+\s+(\w+\s+(Tx|Rx)\s|ErrorFrame)|CANFD\s+\d+\s+(Rx|Tx)\s)", re.I)
-    cut = re.compile(r"\d+(\.\d*(\s+(\d+(\s+[0-9A-Fa-f]+x?(\s+[RT]x?)?)?)?)?)?")
+    cut = re.compile(
+        r"\d+(\.\d*(\s+(\d+(\s+[0-9A-Fa-f]+x?(\s+[RT]x?)?)?)?)?)?|(?!//|.*J1939TP).*\s[RT]x\s+[dr]\s.*"
+    )
     header = re.compile(r"\s*base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?", re.I)
-    event = re.compile(r"\s*(\d+\.\d+)(\s.*)", re.S)
+    event = re.compile(r"\s*(\d+)[.,](\d+)(\s.*)", re.S)
     head = "base hex\ninternal events logged\n"
 
     _is_relative, _time_s, _base = False, 0.0, "hex"
@@ -268,9 +270,9 @@ class _AscLines(_Lines):
         if found := self.header.match(line):
             self._base, self._is_relative = found[1].lower(), (found[2] or "").lower() == "relative"
             self.head = f"base {self._base}\ninternal events logged\n"
-        elif self._is_relative and (found := self.event.match(line)):
-            self._time_s += float(found[1])
-            line = f"{self._time_s:.9f}{found[2]}"
+        elif found := self.event.match(line):
+            self._time_s = self._time_s * self._is_relative + float(f"{found[1]}.{found[2]}")
+            line = f"{self._time_s:.9f}{found[3]}"
         return super().kept(line)
 
     def is_cut_in_byte(self, line: str, length: int) -> bool:
@@ -282,21 +284,19 @@ class _AscLines(_Lines):
 
 
 class _TrcLines(_Lines):
-    """PEAK: what begins with ";$" is the header; frames begin with a number and a time."""
+    """PEAK: ";$" begins the header; no comment and no event: a frame."""
 
     reader = can.TRCReader
     frame = re.compile(
-        r"\s*\d+\)?\s+[\d.]+\s+(?!\s|(\d+\s+)?(ST|EC|ER|EV|Warng|Error|Status|FFFFFFFF)\b|\w+\s+\d\s+ERROR\b)"
+        r"(?!\s*(;|$|\d+\)?\s+[\d.]+\s+((\d+\s+)?(ST|EC|ER|EV|Warng|Error|Status|FFFFFFFF)\b|\w+\s+\d\s+ERROR\b)))"
     )
-    cut = re.compile(r"\d+\)?(\s+[\d.,]+)?")
     of_1_2 = re.compile(r"(\)\s+[\d.]+\s+\d+\s+[RT]x\s+\w+)(?=\s+\d+\s)")  # 1.3 has "-" behind the CAN-ID
-    start = re.compile(r"\s*;\$STARTTIME\s*=\s*(\d+)(?:[.,](\d+))?\s*$")
+    start = re.compile(r";\$STARTTIME\s*=\s*(\d+)(?:[.,](\d+))?$")
+    header = re.compile(r";\$(?!STARTTIME)|;\$STARTTIME=\d+\.")
 
     def kept(self, line: str) -> str | None:
-        text = line.strip()
-        if found := self.start.match(text):
-            text = f";$STARTTIME={found[1]}.{found[2] or 0}"
-        if text.startswith(";$") and (found or not text.startswith(";$STARTTIME")):
+        text = self.start.sub(r";$STARTTIME=\1.\2", line.strip())
+        if self.header.match(text):
             self.head += f"{text}\n".replace("VERSION=1.2", "VERSION=1.3")
         return super().kept(self.of_1_2.sub(r"\1 -", line.replace(",", ".")))
 

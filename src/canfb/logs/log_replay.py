@@ -29,7 +29,7 @@ from canfb.errors import CanfbError, ConfigError, reason, saying
 from canfb.files import check_writable, replacing, writing
 from canfb.hosting.state_files import SavedParameters
 from canfb.logfile.bus_logs import BusLogFile
-from canfb.logfile.log_files import LogError, is_log
+from canfb.logfile.log_files import is_log
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.findings import COLUMNS as SAMPLE_COLUMNS, KINDS, Block, DriftTracks, Overview
 from canfb.replay.module_replay import Begin, ModuleReplay
@@ -247,13 +247,9 @@ def replay_log(
 
 
 def _check_frames(log: BusLogFile) -> None:
-    channels, others, lines = log.counters.channels, log.counters.left_out, log.counters.damaged_lines
-    if others and not channels:
-        there = ", ".join(sorted(others))
-        raise LogError(f"{log.path}: there is no frame of channel {log.channel}; there are {there}")
-    if not channels:
-        damaged = f"; {lines} damaged lines: record it with candump -L (UTF-8)" if lines else ""
-        raise LogError(f"{log.path}: there is no classic frame with an 11-bit identifier in it{damaged}")
+    if not log.counters.channels:
+        kind = f"of channel {log.channel}" if log.counters.left_out else "with an 11-bit identifier"
+        raise log.no_frame(f"classic frame {kind}")
 
 
 def _store(module: ModuleConfig, state_dir: Path | None) -> MemoryStore | None:

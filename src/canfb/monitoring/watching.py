@@ -79,7 +79,7 @@ class MessageReader:
                 return
             yield stamp - began, frame
         if began is None:
-            raise LogError(f"{path}: there is no frame in it")
+            raise log_file.no_frame()
         log_file.check_end(log.warning)
 
 
