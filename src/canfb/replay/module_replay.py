@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from itertools import islice
+from itertools import islice, pairwise
+from statistics import median
 
 from canfb import objects as od
 from canfb.cia301 import cob, datatypes
@@ -64,10 +65,6 @@ class OwnFrames:
 
     def recorded(self, data: bytes, now: float, stamp_s: float) -> None:
         waiting = self._replayed
-        if waiting and waiting[0][1] == data:
-            waiting.popleft()
-            self.equal += 1
-            return
         self.only_replayed += _drop_late(waiting, now)
         before = _taken(waiting, data)
         if before is not None:
@@ -93,11 +90,10 @@ class OwnFrames:
 
 
 def _drop_late(waiting: deque[tuple[float, bytes]], now: float) -> int:
-    dropped = 0
+    number = len(waiting)
     while waiting and now - waiting[0][0] > LONGEST_DELAY_S:
         waiting.popleft()
-        dropped += 1
-    return dropped
+    return number - len(waiting)
 
 
 def _taken(waiting: deque[tuple[float, bytes]], data: bytes) -> int | None:
@@ -153,6 +149,16 @@ def pdo_fields(dictionary: Dictionary, can_id: int) -> list[FieldDifference]:
     ]
 
 
+def _usual_wait_s(can_id: int, frames: Sequence[Frame]) -> float:
+    waits = [
+        (frame.timestamp or 0.0) - (before.timestamp or 0.0)
+        for before, frame in pairwise(frames)
+        if frame.can_id == can_id
+    ]
+    return max(0.0, median(waits)) if waits else 0.0
+
+
+ASKED_FRAMES = 500  # behind a clock that was set
 # A longer silence is cut to this: the module has lost everything by then that it can lose.
 LONGEST_GAP_S = 60.0
 
@@ -299,7 +305,7 @@ class ModuleReplay:
                 now = received
             else:
                 self._now = now
-                received = now = self._judged(origin + now if stamp is None else stamp, now)
+                received = now = self._judged(Frame(can_id, data, rtr, stamp), batch, now)
                 origin = samples.origin_s
             if can_id in received_ids and not rtr:
                 due = deadline()
@@ -325,16 +331,20 @@ class ModuleReplay:
         self.frames += len(batch)
         self.last_s = now + origin
 
-    def _judged(self, stamp_s: float, now: float) -> float:
-        """When a frame came of which ``now <= stamp_s - origin_s <= now + LONGEST_GAP_S`` does not hold.
+    def _judged(self, frame: Frame, batch: list[Frame], now: float) -> float:
+        """When a frame came of which ``now <= stamp - origin_s <= now + LONGEST_GAP_S`` does not hold.
 
         A step back is a clock that was set: the reader puts late frames in their places.
         """
+        stamp_s = self.samples.origin_s + now if frame.timestamp is None else frame.timestamp
         if not math.isfinite(stamp_s):
             self.bad_stamps += 1
             return now
         if stamp_s - self.samples.origin_s < now:
             self.steps_back += 1
+            # Unseen, as much time has passed as usually before this CAN-ID: without it an interval would be
+            # shorter than it was, and a fast machine valid and wrong by a cycle.
+            now += _usual_wait_s(frame.can_id, batch[batch.index(frame) :][:ASKED_FRAMES])
         else:
             self.gaps += 1
             now += LONGEST_GAP_S
