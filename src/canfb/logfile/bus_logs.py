@@ -54,14 +54,14 @@ MOST_HELD = 1 << 16  # frames: stamps that stand still come to an end as well
 
 
 def in_order(batches: Iterable[list[Frame]], counters: LogCounters) -> Iterator[list[Frame]]:
-    """The same frames in the order of their stamps, though some were written late.
+    """The frames in the order of their stamps, though some were written late.
 
-    Stamps (seconds, any clock) go back where the clock was set, and nowhere else. Frames of one
-    stamp keep their order, and those whose stamp is no number their place.
+    Stamps (seconds, any clock) go back only where the clock was set. Frames of one stamp keep their
+    order, and those whose stamp is no number their place.
 
     A step back is a clock that was set if the frames behind it fill half of the way to the newest stamp
-    without reaching it, are fewer than those before it with a later stamp, and half of them have a CAN-ID
-    that came with one; or if it is longer than the window and lasts.
+    or end the log, without reaching it, are fewer than those before it with a later stamp, and half of
+    them have a CAN-ID that came with one; or if it is longer than the window and lasts.
     """
     held: list[Frame] = []
     for batch, end in chain(zip(batches, repeat(False)), [([], True)]):
@@ -155,7 +155,7 @@ def _clock_was_set(frames: list[Frame], stamps: list[float], begin: int, newest:
             return True, n
         if not is_long and stamp - stamps[begin] >= back_s / 2.0 and n > begin:
             return 2 * again >= n - begin and (later > n - begin or not older), n
-    return is_long, len(frames)
+    return is_long or (2 * again > n - begin and later > n - begin + 1), len(frames)
 
 
 BLOCK_BYTES = 1 << 18
