@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from canfb.calibration.ellipse import angle_cycles, with_track_harmonics
+from canfb.calibration.figure import change_of_figure
 from canfb.calibration.joint import (
     JointFit,
     Waveform,
@@ -51,12 +52,11 @@ from canfb.calibration.result import (
     error_curve,
     judge,
     largest_change,
-    lasting,
     peak,
     root_mean,
     samples_in_bins,
 )
-from canfb.calibration.solver import ORDER_STEPS, Progress, Solution, Solver, no_progress, reject
+from canfb.calibration.solver import ORDER_STEPS, Progress, Solution, Solver, no_progress
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
@@ -110,7 +110,7 @@ HIGHEST_HARMONIC = 64  # of the error
 
 
 def finish(record: Recording, solution: Solution, conditioning: Conditioning, entries: int) -> Calibration:
-    fit, whole, loss, undetermined = solution
+    fit, loss, undetermined = solution
     blocks, use, position = fit.blocks, fit.blocks.used, fit.position
     cycles = float(np.abs(np.diff(position, axis=1))[use[:, 1:] & use[:, :-1]].sum())
     curve = raw_phase_curve(fit.waveform, conditioning)
@@ -121,7 +121,8 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     parts = [table_of(raw_phase_curve(one.waveform, conditioning), entries).entries for one in each]
     measured = measured_error(parts)
     tables = [CorrectionTable(np.mean(parts[odd::2], axis=0)) for odd in (0, 1)]
-    change = _change(whole, fit, sensitivity, max(1.0, measured / expected))
+    of_tables = _change(fit, sensitivity, max(1.0, measured / expected))
+    change = max(of_tables, change_of_figure(record, fit.waveform, conditioning))
     bound = float(np.sqrt(table_variance(sensitivity, bound_covariance(fit)).mean()))
     before, after = _deviations(blocks, position, conditioning, tables)
     moving = use & fit.informative[:, None]
@@ -178,29 +179,22 @@ def mean_tracks_of(waveform: Waveform, curve: FloatArray) -> FloatArray:
     return np.array(waveform.tracks(grid_phases(TRACK_POINTS)[:-1] + origin_of(curve)))
 
 
-def _change(whole: Blocks, fit: JointFit, sensitivity: FloatArray, doubt: float) -> Drift:
+def _change(fit: JointFit, sensitivity: FloatArray, doubt: float) -> Drift:
     """Of the tracks in the course of the measurement; ``doubt``: noise over what the covariance expects."""
     largest = Drift()
-    left_out = lasting(2 * fit.blocks.used.sum(axis=1) < whole.used.sum(axis=1))
     moving = np.flatnonzero(fit.informative)  # at standstill nobody sees a table
     for count in (THIRDS, FINE):
         if len(moving) < 4 * count:  # blocks: the covariance of a fit to four says how uncertain it is
             break
-        divided = np.array_split(moving, count) + left_out
-        parts = [_fit_of_part(whole, fit, rows) for rows in divided]
+        parts = [_fit_of_part(fit.blocks, fit, rows) for rows in np.array_split(moving, count)]
         tables = np.array([sensitivity @ p.waveform.coefficients.ravel() for p in parts])
         spreads = [np.sqrt(table_variance(sensitivity, p.covariance)) for p in parts]
         largest = max(largest, largest_change(tables, doubt * np.array([*map(root_mean, spreads)])))
     return largest
 
 
-def _fit_of_part(whole: Blocks, fit: JointFit, rows: IntArray) -> JointFit:
-    """The fit to these blocks alone. Where most samples had been left out, it is they that count here."""
-    kept, whole, motion = fit.blocks.take(rows), whole.take(rows), fit.motion[rows]
-    if 2 * kept.samples < whole.samples:
-        fit = fit_jointly(whole, fit.waveform, motion, noise=fit.noise)
-        kept, motion = reject(whole, fit), fit.motion
-    return fit_jointly(kept, fit.waveform, motion, rounds=6, noise=fit.noise)
+def _fit_of_part(blocks: Blocks, fit: JointFit, rows: IntArray) -> JointFit:
+    return fit_jointly(blocks.take(rows), fit.waveform, fit.motion[rows], rounds=6, noise=fit.noise)
 
 
 def measured_error(tables: list[FloatArray]) -> float:
@@ -287,15 +281,14 @@ def calibrate_from_zero_crossings(
         raise CalibrationError(f"{agree.sum()} cycles agree: at least {MIN_CYCLES} are needed", Reason.CYCLES)
     good = cycles.take(agree)
     measured = measured_error([good.take(rows).table().entries for rows in independent_parts(len(good))])
-    parts = [
-        cycles.take(rows) for rows in (*np.array_split(np.arange(len(cycles)), THIRDS), *lasting(~agree))
-    ]
+    parts = [cycles.take(rows) for rows in np.array_split(np.arange(len(cycles)), THIRDS)]
     with contextlib.suppress(CalibrationError):  # too few
         # Real tracks have the same shape there; inverted or exchanged, the motion seems to turn.
         parts.append(_Cycles.of(chosen, back))
     parts = [part.take(part.agreeing()) for part in parts]
     noise = measured * np.sqrt([len(good) / len(part) for part in parts])
-    change = largest_change(np.array([part.table().entries for part in parts]), noise)
+    of_tables = largest_change(np.array([part.table().entries for part in parts]), noise)
+    change = max(of_tables, change_of_figure(record, good.waveform(), chosen))
     report(0.9)
     samples_left_out = int(record.valid.sum()) - len(good.phase)
     amplitude = root_mean(np.hypot(s[usable], c[usable]))

@@ -376,14 +376,6 @@ SIGNIFICANT = 3.0
 THIRDS, FINE = 3, 9  # parts: thirds see a slow drift best, shorter ones what happens near either end
 
 
-MIN_RUN = 3
-
-
-def lasting(out: BoolArray) -> list[IntArray]:
-    """Runs of blocks or cycles that were left out: faults do not last, changed tracks do."""
-    return [np.arange(first, last) for first, last in runs(out) if last - first >= MIN_RUN]
-
-
 def largest_change(tables: FloatArray, noise: FloatArray) -> Drift:
     """The largest significant one of tables (parts, phases), uncertain by ``noise`` (parts,); cycles."""
     centred = tables - tables.mean(axis=1, keepdims=True)

@@ -77,13 +77,11 @@ class Start(NamedTuple):
 class Solution(NamedTuple):
     """What was found.
 
-    whole         the blocks with the samples that were left out
     loss          how many times the unknown motion made the uncertainty larger
     undetermined  uncertainty of the table, cycles, from orders that do not show and are not ruled out; else 0
     """
 
     fit: JointFit
-    whole: Blocks
     loss: float
     undetermined: float
 
@@ -145,7 +143,7 @@ class Solver:
             change = (other.coefficients - fit.waveform.coefficients).ravel()
             moved = root_mean(table_sensitivity(fit.waveform, self.ellipse) @ change)
             undetermined = max(undetermined, moved)
-        return Solution(fit, self.record.cut(*shape), loss, undetermined)
+        return Solution(fit, loss, undetermined)
 
     def _off_cycles(self, fit: JointFit) -> float:
         return fit.noise.along / (2.0 * np.pi * self.amplitude_counts)

@@ -266,8 +266,6 @@ def nodes(
 
 
 def checked(kind: Callable[[str], T], holds: Callable[[T], bool], otherwise: str) -> Callable[[str], T]:
-    """A type for argparse."""
-
     def parsed(text: str) -> T:
         with contextlib.suppress(ValueError):
             if holds(value := kind(text)):

@@ -422,7 +422,6 @@ class BusLog:
         self.error_frames += message.is_error_frame
 
     def take(self, frame: Frame) -> None:
-        """A frame with its stamp."""
         can_id, data, rtr, stamp = frame
         self.write(can.Message(stamp or 0.0, can_id, False, rtr, channel=0, data=data))
 

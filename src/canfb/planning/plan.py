@@ -389,7 +389,6 @@ class ResidualBudget:
 
     @property
     def instants_cycles(self) -> float:
-        """Of the sampling instants in a residual."""
         cycles_per_s = (
             (self.plan.speed_rad_s or 0.0) * self.module.settings.cycles_per_revolution / (2 * math.pi)
         )

@@ -229,7 +229,6 @@ class Reading:
 
     @property
     def words(self) -> str:
-        """Bits or enumeration in words, "" for none."""
         return in_words(self.product, self.entry.place, self.value)
 
     def text(self) -> str:

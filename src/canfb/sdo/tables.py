@@ -176,7 +176,6 @@ def check_keys(
 
 
 def wrong(marked: MarkedYaml, text: str, *keys: Any) -> ValueError:
-    """With line and key."""
     names = [str(key) for key in keys]
     return ValueError(f"line {marked.line(*names)}: {'.'.join(names)}{': ' * bool(names)}{text}")
 

@@ -28,7 +28,6 @@ class Pauses:
         self.turned = 0.0
 
     def moves(self, intervals: float, cycles: float) -> bool:
-        """The machine goes so far within these intervals; not one whose position is lost."""
         estimator = self._stages.estimator
         tracker = estimator.tracker
         if estimator.lost or not tracker.started:

@@ -334,7 +334,7 @@ def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
 def count_run(tracker: Tracker, result: TrackResult, run: slice, scratch: Scratch) -> None:
     """Samples that all have a phase, one interval apart: an integer cumulative sum. Where :func:`continues`.
 
-    ``tracker`` stays before them. ``scratch`` is at least as long as the run.
+    ``tracker`` stays before them.
     """
     start, stop = run.start, run.stop
     before, last, _ = tracker.places
