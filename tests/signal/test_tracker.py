@@ -69,7 +69,7 @@ def test_eq_10_and_two_thirds_of_it() -> None:
     assert max_acceleration(2500, 25_000) == pytest.approx(785_398, abs=1)
     assert max_acceleration(2500, 25_000, 1 / 3) == pytest.approx(785_398 * 2 / 3, abs=1)
     assert max_acceleration(2500, 1000) == pytest.approx(1257, abs=0.5)
-    for bad in ((0, 1000, 0.5), (2500, 0, 0.5), (2500, 1000, 0.6), (math.nan, 1000, 0.5)):
+    for bad in ((0, 1000, 0.5), (2500, 0, 0.5), (2500, 1000, 0.6), (math.nan, 1000, 0.5), (10**400, 1, 0.5)):
         with pytest.raises(ValueError, match="must be"):
             max_acceleration(*bad)
 

@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+from canfb.checks import LARGEST
 from canfb.signal.bounded_motion import ORDER, BoundedMotion
 from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
 
@@ -40,7 +41,7 @@ def max_speed(cycles_per_revolution: float, jitter_s: float, residual_limit: flo
 
 def _check_positive(**values: float) -> None:
     for name, value in values.items():
-        if not 0.0 < value < math.inf:
+        if not 0.0 < value <= LARGEST:
             raise ValueError(f"{name} must be positive, not {value!r}")
 
 
