@@ -63,14 +63,14 @@ def between(bench: Bench, spoil: Spoil) -> None:
     bench.module.receive = spoiled  # type: ignore[method-assign]
 
 
-def refuse_once(bench: Bench, place: tuple[int, int], times: int = 1) -> list[Frame]:
-    """The module refuses the next writes of an object; what it has refused."""
+def refuse_once(bench: Bench, place: tuple[int, int], times: int = 1, answer: Spoil = abort) -> list[Frame]:
+    """The module refuses the next writes of an object, or ``answer`` does; what it has refused."""
     refused: list[Frame] = []
 
     def spoil(frame: Frame) -> list[Frame] | None:
         if is_write(frame) and place_of(frame) == place and len(refused) < times:
             refused.append(frame)
-            return abort(frame, 0x06090030)
+            return answer(frame)
         return None
 
     between(bench, spoil)
@@ -89,18 +89,7 @@ def interrupt(bench: Bench, at: int, error: type[BaseException] = KeyboardInterr
     bench.master.network.send_message = interrupted  # type: ignore[method-assign]
 
 
-def drop_answer(bench: Bench, place: tuple[int, int]) -> list[Frame]:
+def drop_answer(bench: Bench, place: tuple[int, int]) -> None:
     """The module takes the next write of an object, and its answer is lost."""
-    lost: list[Frame] = []
     receive = bench.module.receive
-
-    def spoiled(frame: Frame, now: float) -> list[Frame]:
-        answer = receive(frame, now)
-        is_target = frame.can_id == REQUEST and is_write(frame) and place_of(frame) == place
-        if is_target and not lost:
-            lost.append(frame)
-            return [one for one in answer if one.can_id != ANSWER]
-        return answer
-
-    bench.module.receive = spoiled  # type: ignore[method-assign]
-    return lost
+    refuse_once(bench, place, 1, lambda frame: receive(frame, bench.bus.now)[:0])

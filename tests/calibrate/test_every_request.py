@@ -22,7 +22,7 @@ from canfb.calibration.deviation import Deviation
 from canfb.cia301.frame import Frame
 from canfb.cli.backup_command import backup_of
 from canfb.commission.commission_run import set_limits
-from canfb.device.storage.storage import MemoryStore
+from canfb.device.storage.storage import Changes, MemoryStore
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.master.all_or_nothing import Guard, save
@@ -54,11 +54,12 @@ class Adversary:
     deaf                                 half a second without an SDO response
     reset, reset after                   before this request, or instead of the response
     killed, killed after                 the same, and it does not come back
+    interrupted                          Ctrl-C
     """
 
     FAULTS = (
         "refused", "request lost", "answer lost", "deaf", "reset",
-        "reset after", "killed", "killed after",
+        "reset after", "killed", "killed after", "interrupted",
     )  # fmt: skip
 
     def __init__(self, bench: Bench, fault: str = "", at: int = 0) -> None:
@@ -80,6 +81,8 @@ class Adversary:
 
     def _spoiled(self, frame: Frame, now: float) -> list[Frame]:
         fault = self._fault
+        if fault == "interrupted":
+            raise KeyboardInterrupt
         if fault == "refused":
             return abort(frame)
         if fault == "reset":
@@ -138,14 +141,21 @@ class Task:
         assert isinstance(bench.store, MemoryStore)
         before = Held.of(bench)
         assert before.kept == (before.values, before.used)
-        adversary = Adversary(bench, fault, at)
+        adversary, saves, save = Adversary(bench, fault, at), [before.kept], bench.store.save
+
+        def save_and_look(changes: Changes) -> None:
+            save(changes)
+            saves.append(Held.of(bench).kept)
+
+        bench.store.save = save_and_look  # type: ignore[method-assign]
         said = ""
         try:
             self.run(bench)
-        except CanfbError as error:
-            said = str(error)
+        except (CanfbError, KeyboardInterrupt) as error:
+            said = str(error) or "interrupted"
         assert adversary.requests >= at, "the fault came"
         assert "\n" not in said
+        assert all(one in (before.kept, wanted.kept) for one in saves), "nothing in between was saved"
         held = Held.of(bench)
         done = not said or said.startswith("done: ")
         if adversary.dead:

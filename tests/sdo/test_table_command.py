@@ -6,6 +6,7 @@ import os
 import re
 import tempfile
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ NODE = hex(MODULE_ID)
 CONDITIONING = Conditioning(3.5, -2.0, 1.0, 1.03125, 0.0078125)
 NEW = Correction(TABLE, CONDITIONING)
 OLD = Correction(OTHER, Conditioning(sine_gain=1.25))
+FULL = OSError(28, "No space left on device")
 
 
 @pytest.fixture
@@ -112,20 +114,24 @@ def test_a_module_that_does_not_say_what_it_has_saved(canfb: Commands) -> None:
     assert "saved            not known: this module does not say it (2020:06)" in out
 
 
+@pytest.mark.parametrize(
+    ("first", "words"),
+    [
+        (FULL, "module 32 (20h) cannot save: no space left where it keeps its parameters"),
+        (KeyboardInterrupt, "interrupted; the table and the conditioning from before are in force"),
+    ],
+)
 def test_a_full_disk_is_named_and_the_old_table_is_in_force(
-    canfb: Commands, file: Path, monkeypatch: pytest.MonkeyPatch
+    first: BaseException, words: str, canfb: Commands, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = MemoryStore()
     bench = bench_with(OLD, store=store)
     canfb(bench, "table", "clear", NODE, "--save")
     put_in_force(bench.access, OLD)
 
-    def full(changes: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(store, "save", full)
+    monkeypatch.setattr(store, "save", Mock(side_effect=[first, FULL]))
     _, err = canfb(bench, "table", "write", NODE, file, "--activate", "--save", code=1)
-    assert err.startswith("canfb: module 32 (20h) cannot save: no space left where it keeps its parameters")
+    assert err.startswith(f"canfb: {words}")
     assert "; the table and the conditioning from before are in force in module 32 (20h), and what is" in err
     assert in_force(bench) == read_active(bench.access) == OLD
 
@@ -188,10 +194,7 @@ def test_a_disk_that_is_full_leaves_the_old_file(
     bench, path = bench_with(NEW), tmp_path / "table.yaml"
     path.write_text("what was there before")
 
-    def full(handle: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
+    monkeypatch.setattr(os, "fsync", Mock(side_effect=FULL))
     _, err = canfb(bench, "table", "read", NODE, path, code=1)
     assert err == f"canfb: {path}: cannot be written: No space left on device\n"
     assert path.read_text() == "what was there before"

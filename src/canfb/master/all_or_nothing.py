@@ -172,8 +172,7 @@ class Guard:
             self._held = False
 
 
-PAUSE_S = 1.0  # before the second attempt: a bus that is away briefly, a node that starts
-ATTEMPTS = 2
+PAUSES_S = 0.0, 1.0  # before each attempt: a bus that is away briefly, a node that starts
 EITHER = "either what was saved before or the new values, whole"
 
 
@@ -203,13 +202,16 @@ def change(
         try:
             if saving:
                 save(module, stores)
-        except CanfbError:
-            return f"{undone()}, and what is saved is {EITHER}: save it when that works again"
+        except CanfbError as error:
+            raise CommissioningError(
+                f"{undone()}, and what is saved is {EITHER}: save it when that works again"
+            ) from error
         return undone()
 
     try:
         with without_restart(module):
-            act()
+            with without_restart(module):  # what a restart has left of the change is not saved
+                act()
             if not keep:
                 return None
             step("saving")
@@ -228,10 +230,9 @@ def change(
 
 def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: bool = False) -> None:
     """``act`` writes ``what`` from before, once more after a pause; CommissioningError says what to do."""
-    for attempt in range(ATTEMPTS):
+    for pause_s in PAUSES_S:
         try:
-            if attempt:
-                module.master.wait(PAUSE_S)
+            module.master.wait(pause_s)
             with without_restart(module):
                 act()
             return

@@ -466,11 +466,12 @@ class TableTasks:
         saved = f"saved ({done['saved_as']})" if done["saved_as"] else ""
         try:
             state = TableState.of_module(self._module)
-        except CanfbError as error:
-            table = "table" if new is None or new.table is None else f"table {new.crc32:08X}h"
+        except (CanfbError, KeyboardInterrupt) as error:
+            table = "table" if new is None else f"table {new.crc32:08X}h" if new.table else "no table"
             where = "in force" if done["active"] else "staged"
             raise CommissioningError(
-                f"done: {table} {where} in {self._module.name}{', ' * bool(saved)}{saved}; but then {error}"
+                f"done: {table} {where} in {self._module.name}{', ' * bool(saved)}{saved}; "
+                f"but then {str(error) or 'interrupted'}"
             ) from error
         used, module = new or state.used, self._module
         _, apart = difference(before.table, used.table)
