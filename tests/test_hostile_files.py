@@ -95,9 +95,10 @@ NEWER = GOOD.replace(b"PK\x03\x04\x14", b"PK\x03\x04\x65").replace(
         packed(sine=array(1).replace(b"(1,)", b"(10000000000000,)"), cosine=array(1)),
         packed(**{"co\nsine": array(1), "sine": array(1)}),
         packed(sine=array(1), cosine=array(1), rate_hz=array(1, 2)),
+        packed(sine=array(1), cosine=array(1), rate_hz=array(np.nan).replace(b"(1,)", b"()  ")),
         array(1),
     ],
-    ids=["deflate", "version", "header", "shape", "name", "rate", "no ZIP"],
+    ids=["deflate", "version", "header", "shape", "name", "rate", "NaN Hz", "no ZIP"],
 )
 def test_a_recording_that_is_none(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "a.npz"

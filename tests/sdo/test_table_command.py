@@ -166,6 +166,8 @@ BAD = {
     "a key": ("sine_gain:", "sine_gian:", "line {line}: conditioning.sine_gian: unknown key; known"),
     "a type": ("sine_gain: 1.0", "sine_gain: one",
                "line {line}: sine_gain must be a finite number, not 'one'"),
+    "a size": ("sine_offset_counts: 3.5", "sine_offset_counts: 3.5e+38",
+               "line {line}: sine_offset_counts must be a finite number, not inf"),
     "a double": ("sine_gain: 1.0", "sine_gain: 1.0\n  sine_gain: 2.0",
                  "line {next}: key 'sine_gain' is there"),
     "a number": ("crc32: ", "crc32: 1", "an entry was changed"),

@@ -104,7 +104,7 @@ WRONG = {
     "{kind: recording, file: x, columns: [a, a]}": "source: columns must be two, [sine, cosine], not ['a', ",
     "{kind: recording, file: x, columns: [a, [b]]}": "a part of 'columns' in source must be a single value",
     "{kind: recording, file: x, columns: [a, null]}": "source: columns must be a name or a number",
-    "{kind: recording, file: x, gap_s: 0}": "source: gap_s must be more than 0, not 0",
+    "{kind: recording, file: x, gap_s: 0}": "source: gap_s must be a number 1e-09..1e+12, not 0",
     "{kind: recording, file: x, gap_samples: 0}": "source: gap_samples must be a whole number 1..1000000",
     "{kind: recording, file: x, time_stamps: true}": "source: time_stamps need a time_column",
     "{kind: recording, file: x.npz, scale: 3, gap_s: 1}": "source: scale, gap_s: only for CSV, not for x.npz",

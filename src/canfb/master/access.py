@@ -7,6 +7,7 @@ watched before and after the reset.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import io
 import itertools
 import struct
@@ -278,8 +279,8 @@ class NodeAccess:
 
 
 def as_real32(value: float) -> float:
-    """The value that a REAL32 holds."""
-    return float(REAL32.unpack(REAL32.pack(value))[0])
+    """The value a REAL32 holds, or infinity."""
+    return ctypes.c_float(value).value
 
 
 HEARTBEAT_TIME, GUARD_TIME = od.Multiplexer(0x1017), od.Multiplexer(0x100C)

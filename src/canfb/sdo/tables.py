@@ -183,7 +183,7 @@ def wrong(marked: MarkedYaml, text: str, *keys: Any) -> ValueError:
 def _conditioning(marked: MarkedYaml, words: dict[str, float]) -> Conditioning:
     try:
         Conditioning(**words)  # which refuses what is no number
-        return Conditioning(**{key: float(value) for key, value in words.items()})
+        return Conditioning(**{key: as_real32(value) for key, value in words.items()})
     except ValueError as error:
         named = [key for key in words if str(error).startswith(key)]
         raise ValueError(f"line {marked.line('conditioning', *named)}: {error}") from None

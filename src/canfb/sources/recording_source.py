@@ -36,7 +36,7 @@ class RecordingLayout:
     columns        names, or numbers from 0, of the sine and the cosine column of a CSV file
     mid_scale      reading that means zero, any number of counts, or of the unit of the file (CSV)
     time_column    column with seconds (CSV): a longer step than ``gap_s`` is a gap; None: there is none
-    gap_s          the shortest gap, more than 0
+    gap_s          the shortest gap, 1e-9..1e12
     gap_samples    samples missed at each gap, 1..1000000
     time_stamps    True: the time column is the sample time (2000:05), too
     scale          ADC counts for each unit of the file, as for each volt: any finite value but 0
@@ -72,7 +72,7 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
             file=str,
             mid_scale=float,
             scale=float,
-            gap_s=float,
+            gap_s=(SHORTEST_STEP_S, LARGEST_TIME_S),
             gap_samples=(1, 1_000_000),
             time_stamps=bool,
         )
@@ -89,8 +89,6 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
             raise ValueError("scale must not be 0")
         if self.time_column is not None:
             column("time_column", self.time_column)
-        if self.gap_s <= 0.0:
-            raise ValueError(f"gap_s must be more than 0, not {self.gap_s!r}")
         if self.time_stamps and self.time_column is None:
             raise ValueError("time_stamps need a time_column")
         layout = {**vars(self), "columns": tuple(self.columns)}

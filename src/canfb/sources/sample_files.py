@@ -13,6 +13,7 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
+from canfb.checks import number_in
 from canfb.errors import CanfbError, reason
 from canfb.files import decoded, read_bytes
 from canfb.objects import MISSED_COUNTS
@@ -143,6 +144,7 @@ def _tracks(file: IO[bytes]) -> Tracks:
             there = ", ".join(content.files) or "nothing"
             raise ValueError(f"there is no array '{missing[0]}', only {there}")
         numbers = {name: float(content[name]) for name in ("rate_hz", "cycles_per_s") if name in content}
+        number_in("rate_hz", numbers.get("rate_hz", 0.0), 0.0, 1e12)
         sine, cosine = with_gaps(content["sine"], content["cosine"])
         time_s = np.asarray(content["time_s"], np.float64) if "time_s" in content else None
         return Tracks(sine, cosine, numbers.get("rate_hz") or None, time_s, numbers.get("cycles_per_s"))
