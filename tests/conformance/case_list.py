@@ -10,16 +10,15 @@ GROUPS = {
 }  # fmt: skip
 CASES = [f"{group.lower()}_{number:02}" for group, count in GROUPS.items() for number in range(1, count + 1)]
 
-_NAME = re.compile(
-    rf"^test_({'|'.join(group.lower() for group in GROUPS)})_(\d\d)(?:_(to|and)_(\d\d))?(?:_|$)"
-)
+_GROUP = "|".join(group.lower() for group in GROUPS)
+_CASES = re.compile(rf"(?:^test|_and)_({_GROUP})_(\d\d)(?:_(to|and)_(\d\d))?(?=_|$)")
 
 
-def cases_of(test_name: str) -> list[str]:
-    """The cases that a test is named after (pdo_09_to_20, sdo_14_and_15); none: it tests something else."""
-    match = _NAME.match(test_name)
-    if match is None:
-        return []
-    group, first, joined, last = match.groups(default="")
-    numbers = range(int(first), int(last) + 1) if joined == "to" else map(int, filter(None, (first, last)))
-    return [f"{group}_{number:02}" for number in numbers]
+def cases_of(name: str) -> list[str]:
+    """The cases that a test is named after (pdo_09_to_20, od_04_and_sdo_04); none: it tests another thing."""
+    cases = []
+    for group, first, joined, last in _CASES.findall(name):
+        ends = int(first), int(last or first)
+        numbers = range(ends[0], ends[1] + 1) if joined == "to" else sorted({*ends})
+        cases += [f"{group}_{number:02}" for number in numbers]
+    return cases

@@ -23,6 +23,9 @@ from played import Still
 MODULE, INTERFACE = "module", "interface"
 DEVICES = (MODULE, INTERFACE)
 MODULE_ID, INTERFACE_ID = 0x20, 0x10
+RPDO1, SYNC = 0x180 + INTERFACE_ID, 0x080
+INVALID = 0x80000000  # of a COB-ID
+NAME, HEARTBEAT = "08 10 00", "17 10 00"  # 1008h is longer than 4 bytes
 EDS = {MODULE: Eds("canfb-module", MODULE_ID), INTERFACE: Eds("encoder-interface", INTERFACE_ID)}
 
 # Abort codes as the list writes them; G is accepted wherever the list says so.
@@ -79,6 +82,11 @@ class Tester:
     @property
     def id(self) -> int:
         return self.eds.node_id
+
+    @property
+    def name(self) -> bytes:
+        """1008h."""
+        return self.eds[0x1008, 0].default.encode()
 
     @property
     def nn(self) -> str:

@@ -5,10 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from conformance_kit import INTERFACE_ID, Heard, Tester, filled, little, m, only
-
-RPDO1, SYNC = 0x180 + INTERFACE_ID, 0x080
-INVALID = 0x80000000
+from conformance_kit import INVALID, RPDO1, SYNC, Heard, Tester, filled, little, m, only
 
 
 def test_beyond_11_a_short_rpdo(module: Tester) -> None:

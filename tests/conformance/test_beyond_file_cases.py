@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 from conformance_eds import DOMAIN, FOLDER
-from conformance_kit import INTERFACE_ID, Tester, little, only
+from conformance_kit import RPDO1, SYNC, Tester, little, only
 
-RPDO1, SYNC = 0x180 + INTERFACE_ID, 0x080
 CHOICES = Path(__file__).parents[2] / "docs" / "canopen.md"
 
 

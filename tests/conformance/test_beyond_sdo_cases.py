@@ -5,24 +5,20 @@ from __future__ import annotations
 import struct
 
 import pytest
-from conformance_kit import Tester, filled, hexes, little, only
+from conformance_kit import HEARTBEAT, NAME, Tester, filled, hexes, little, only
 
 from sdo_client import crc
 
-NAME, HEARTBEAT, EDS_FILE, TABLE = "08 10 00", "17 10 00", "21 10 00", "20 20 01"
+EDS_FILE, TABLE = "21 10 00", "20 20 01"
 ANY_SEGMENT = "05040001"
 IDENTITY = b"".join(struct.pack("<f", n / 128) for n in range(128))
 """512 bytes for 2020h:01: several blocks."""
 
 
-def name_of(tester: Tester) -> bytes:
-    return tester.eds[0x1008, 0].default.encode()
-
-
 def is_idle(tester: Tester, segment: str = "60") -> None:
     """The server waits for nothing, and serves the next request."""
     tester.aborted(tester.ask(segment), None, ANY_SEGMENT)
-    assert tester.upload(NAME) == name_of(tester)
+    assert tester.upload(NAME) == tester.name
 
 
 @pytest.mark.parametrize("length", range(8))
@@ -34,7 +30,7 @@ def test_beyond_01_short_requests_are_ignored(tester: Tester, length: int) -> No
     first = tester.ask("60")
     assert tester.send(0x600 + tester.id, hexes(bytes.fromhex(filled("70"))[:length])) == []
     second = tester.ask("70")
-    assert (bytes.fromhex(first)[1:] + bytes.fromhex(second)[1:]) == name_of(tester)[:14]
+    assert (bytes.fromhex(first)[1:] + bytes.fromhex(second)[1:]) == tester.name[:14]
 
 
 @pytest.mark.parametrize("segment", ["60", "70", "00 11 22 33 44 55 66 77", "0B E8 03", "1B E8 03"])
@@ -44,7 +40,7 @@ def test_beyond_02_a_segment_without_a_transfer(tester: Tester, segment: str) ->
 
 def test_beyond_02_an_abort_without_a_transfer(tester: Tester) -> None:
     assert tester.sdo("80 17 10 00 00 00 04 05", wait=2.0) == []
-    assert tester.upload(NAME) == name_of(tester)
+    assert tester.upload(NAME) == tester.name
 
 
 # The object of a transfer; its first request, the second one, how long its answers take, and how they begin.
@@ -150,7 +146,7 @@ def test_beyond_06_another_block_size_out_of_range(tester: Tester, size: str) ->
 
 @pytest.mark.parametrize("threshold", [0, 1, 4, 20, 255])
 def test_beyond_07_protocol_switch_threshold(tester: Tester, threshold: int) -> None:
-    for multiplexer, size in (("00 10 00", 4), (NAME, len(name_of(tester)))):
+    for multiplexer, size in (("00 10 00", 4), (NAME, len(tester.name))):
         answer = tester.ask(f"A4 {multiplexer} 14 {threshold:02X}")
         if size > threshold:
             assert answer == filled(f"C6 {multiplexer} {little(size, 4)}")
@@ -190,17 +186,17 @@ def test_beyond_09_two_servers_at_the_same_time(module: Tester) -> None:
     assert module.ask("70")[:2] == "10"
     assert second(f"D5 {little(crc(bytes.fromhex('E8 03')), 2)}") == [filled("A1")]
     assert second(f"40 {NAME}")[0][:2] == "41"
-    got: dict[int, bytes] = {0: name_of(module)[:14], 1: b""}
+    got: dict[int, bytes] = {0: module.name[:14], 1: b""}
     toggles = {0: 0x00, 1: 0x00}
-    while len(got[1]) < len(name_of(module)):
+    while len(got[1]) < len(module.name):
         for client, ask in enumerate((module.sdo, second)):
-            if len(got[client]) < len(name_of(module)):
+            if len(got[client]) < len(module.name):
                 (answer,) = ask(f"{0x60 | toggles[client]:02X}")
                 raw = bytes.fromhex(answer)
                 assert raw[0] & 0xF0 == toggles[client]
                 got[client] += raw[1 : 8 - (raw[0] >> 1 & 7)]
                 toggles[client] ^= 0x10
-    assert got == {0: name_of(module), 1: name_of(module)}
+    assert got == {0: module.name, 1: module.name}
     assert module.read(0x1017) == 1000
 
 

@@ -3,35 +3,19 @@
 from __future__ import annotations
 
 import pytest
-from conformance_kit import INTERFACE_ID, G, Tester, filled, only
+from conformance_kit import RPDO1, SYNC, G, Tester, filled, only
 
-RPDO1 = 0x180 + INTERFACE_ID
-SYNC = 0x080
 PRODUCER_ON, PRODUCER_OFF = "23 05 10 00 80 00 00 40", "23 05 10 00 80 00 00 00"
 
 
-def short_rpdo(tester: Tester) -> str:
-    """RPDO1 without data, then Pre-operational; the EMCY upon it."""
+def test_emcy_04_to_06_rpdo_without_data_register_and_history(tester: Tester) -> None:
     tester.operational()
     heard = tester.send(RPDO1) + tester.nmt("80") + tester.wait(0.5)
     (emergency,) = only(heard, 0x80 + tester.id)
-    return emergency
-
-
-def test_emcy_04_rpdo_without_data(tester: Tester) -> None:
-    emergency = short_rpdo(tester)
     assert len(emergency) == 23
     assert emergency[:5] == "10 82"
     assert int(emergency[6:8], 16) & 0x11 == 0x11  # generic, communication
-
-
-def test_emcy_05_error_register_equals_the_emergency(tester: Tester) -> None:
-    emergency = short_rpdo(tester)
     assert tester.ask("40 01 10 00") == filled("4F 01 10 00 " + emergency[6:8])
-
-
-def test_emcy_06_error_history(tester: Tester) -> None:
-    emergency = short_rpdo(tester)
     assert tester.ask("40 03 10 00") == filled("4F 03 10 00 01")
     assert tester.ask("40 03 10 01") == f"43 03 10 01 {emergency[:5]} {emergency[9:14]}"
     tester.accept("2F 03 10 00 00")
@@ -39,8 +23,9 @@ def test_emcy_06_error_history(tester: Tester) -> None:
 
 
 @pytest.mark.parametrize("state", ["80", "01"])
-def test_sync_02_producer(tester: Tester, state: str) -> None:
+def test_sync_02_and_06_producer_without_counter(tester: Tester, state: str) -> None:
     tester.nmt(state)
+    tester.accept("2F 19 10 00 00")
     tester.accept("23 06 10 00 A0 86 01 00")
     heard = tester.send(0x600 + tester.id, PRODUCER_ON) + tester.wait(10.0)
     syncs = only(heard, SYNC)
@@ -56,13 +41,6 @@ def test_sync_03_every_tenth_sync(tester: Tester) -> None:
     tester.operational()
     heard = tester.repeat(100, 0.1, lambda: tester.send(SYNC))
     assert [len(only(heard, can_id)) for can_id in can_ids] == [10 for _ in can_ids]
-
-
-def test_sync_06_producer_without_counter(tester: Tester) -> None:
-    tester.accept("2F 19 10 00 00")
-    tester.accept("23 06 10 00 A0 86 01 00")
-    tester.accept(PRODUCER_ON)
-    assert only(tester.wait(1.0), SYNC)[0] == ""
 
 
 def test_sync_07_producer_with_counter(tester: Tester) -> None:

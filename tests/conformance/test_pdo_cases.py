@@ -6,10 +6,9 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from conformance_kit import Heard, Tester, little, m, only
+from conformance_kit import INVALID, SYNC, Heard, Tester, little, m, only
 
 STOPPED, PRE_OPERATIONAL = "02", "80"
-SYNC = 0x080
 
 
 def test_pdo_01_cob_ids_of_the_rpdos(tester: Tester) -> None:
@@ -41,7 +40,7 @@ def set_up_counted(tester: Tester, kind: int, start: int, state: str) -> list[in
     for number in numbers:
         index = 0x1800 + number - 1
         cob_id = tester.read(index, 1)
-        tester.write(index, 1, cob_id | 0x80000000, 4)
+        tester.write(index, 1, cob_id | INVALID, 4)
         tester.write(index, 2, kind, 1)
         tester.write(index, 6, start, 1)
         tester.write(index, 1, cob_id, 4)

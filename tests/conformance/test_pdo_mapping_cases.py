@@ -6,12 +6,11 @@ from typing import NamedTuple
 
 import pytest
 from conformance_eds import EdsEntry
-from conformance_kit import Tester, little, m
+from conformance_kit import INVALID, Tester, little, m
 
 LENGTH = ("06040042", "06040041", "06010000", "06020000")
 NOT_NOW = ("06010000", "06040041")
 NOT_MAPPABLE = ("06020000", "06040041")
-INVALID = 0x80000000
 
 
 class Pdo(NamedTuple):

@@ -54,12 +54,9 @@ def test_other_01_and_05_a_wrong_signature_saves_nothing(tester: Tester, sub: in
 
 
 @EACH
-def test_other_02_and_06_what_is_saved_comes_back(tester: Tester, sub: int) -> None:
-    saves(tester, sub)
-
-
-@EACH
-def test_other_03_and_07_a_wrong_signature_restores_nothing(tester: Tester, sub: int) -> None:
+def test_other_02_and_06_and_other_03_and_07_what_is_saved_comes_back_also_after_a_wrong_signature(
+    tester: Tester, sub: int
+) -> None:
     saves(tester, sub)
     tester.refuse(f"23 {m(0x1011, sub)} {WRONG}", *REFUSED)
     tester.nmt("81")
