@@ -61,12 +61,10 @@ ABORT_CODES = {int(code): code for code in AbortCode}
 
 
 class Bench:
-    def __init__(
-        self, dictionary: Dictionary, *, autostart: bool = False, sdo_timeout_s: float = 1.0
-    ) -> None:
+    def __init__(self, dictionary: Dictionary, node_id: int = ID, **options: Any) -> None:
         self.dictionary = dictionary
         self.application = RecordingApplication()
-        self.node = Node(dictionary, ID, self.application, autostart=autostart, sdo_timeout_s=sdo_timeout_s)
+        self.node = Node(dictionary, node_id, self.application, **options)
         self.now = 0.0
 
     def start(self) -> list[str]:
@@ -164,21 +162,17 @@ def write_eds(path: Path, identity: tuple[int, ...] = ()) -> Path:
 class StoringBench(Bench):
     """As Bench, powered on, and speaking with node 32; other node-IDs are read by `value`."""
 
-    def __init__(self, path: Path, store: Store | None, node_id: int = 32, **options: Any) -> None:
-        super().__init__(Dictionary.load(path, node_id))
+    def __init__(self, path: Path, store: Store | None, node_id: int = ID, **options: Any) -> None:
+        super().__init__(Dictionary.load(path, node_id), node_id, store=store, **options)
         self.faults: list[dict[ParameterGroup, str]] = []
-        self.node = Node(self.dictionary, node_id, self.application, store=store, **options)
         self.application.react(parameters_refused=lambda faults, now: self.faults.append(dict(faults)))
         self.first = self.start()
 
-    def command(self, index: int, subindex: int, word: int) -> object:
-        return self.write(index, subindex, word, 4)
-
     def save(self, subindex: int = ALL) -> object:
-        return self.command(SAVE, subindex, SAVE_WORD)
+        return self.write(SAVE, subindex, SAVE_WORD, 4)
 
     def load(self, subindex: int = ALL) -> object:
-        return self.command(LOAD, subindex, LOAD_WORD)
+        return self.write(LOAD, subindex, LOAD_WORD, 4)
 
     def value(self, index: int, subindex: int = 0) -> object:
         return self.dictionary.entry(index, subindex).value

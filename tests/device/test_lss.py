@@ -1,4 +1,4 @@
-"""The LSS slave by its frames (CiA 305)."""
+"""The LSS slave by its frames (CiA 305); any frames are in tests/tools/test_fuzz.py."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 from device_kit import RESET_COMMUNICATION, StoringBench, hexes, write_eds
-from hypothesis import given, strategies as st
 
 from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
@@ -286,17 +285,3 @@ def test_a_stored_node_id_that_is_none_is_refused(make: Callable[..., LssBench],
     again.faults.clear()
     assert again.configure().lss(0x17) == ["17"]
     assert again.faults == [{}]
-
-
-# In every state, with any frame.
-
-
-@given(st.lists(st.binary(max_size=8) | st.binary(min_size=8, max_size=8), max_size=40), st.booleans())
-def test_no_frame_raises_and_answers_are_lss_answers(
-    path: Path, frames: list[bytes], unconfigured: bool
-) -> None:
-    bench = LssBench(path, NONE if unconfigured else 32, MemoryStore())
-    for data in [b"\x04\x01\x00\x00\x00\x00\x00\x00", *frames]:
-        for answer in bench.node.receive(Frame(0x7E5, data), 0.0):
-            assert answer.can_id == 0x7E4 or answer.data == b"\x00"
-    assert bench.node.node_id == NONE or 1 <= bench.node.node_id <= 127

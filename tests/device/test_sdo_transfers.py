@@ -1,4 +1,6 @@
-"""SDO transfers by segments and by block, of any size. What any device must do is in tests/conformance."""
+"""SDO transfers by segments and by block, of any size. What any device must do is in tests/conformance,
+and hostile clients are in tests/tools/test_fuzz.py.
+"""
 
 from __future__ import annotations
 
@@ -80,16 +82,6 @@ def test_a_download_arrives_whole(
         assert transfer(ask, PLACE, data, announced=announced) == b""
         assert entry.value == data
         assert started.node.deadline() is None
-
-
-@given(st.lists(st.binary(min_size=8, max_size=8), max_size=60))
-@examples(50)
-def test_a_hostile_client_does_not_spoil_the_next_one(sample_path: Path, requests: list[bytes]) -> None:
-    bench = Bench(Dictionary.load(sample_path, ID))
-    bench.start()
-    for request in [*requests, b"\x80" + bytes(7)]:
-        bench.send(0x600 + ID, request)
-    assert bench.read(0x1000) == 0x40191
 
 
 def test_segments_are_paced(bench: Bench) -> None:

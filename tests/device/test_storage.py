@@ -172,9 +172,6 @@ def test_every_type_comes_back(power_on: Callable[..., StoringBench]) -> None:
     assert {index: bench.value(index) for index in entries} == entries
 
 
-# COB-IDs and PDOs.
-
-
 # Stored parameters that must not be used.
 
 GROUP = ParameterGroup.COMMUNICATION
