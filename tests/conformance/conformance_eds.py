@@ -1,127 +1,48 @@
-"""What the EDS files say, read with the standard library alone: independent of the loader of the device."""
+"""What the EDS files say, as python canopen reads them: independent of the loader of the device."""
 
 from __future__ import annotations
 
-import struct
-from configparser import RawConfigParser
-from dataclasses import dataclass, field
-from functools import cached_property
-from pathlib import Path
+from canopen.objectdictionary import ODVariable
 
-FOLDER = Path(__file__).parents[2] / "eds"
+from eds_text import eds_of
 
-REAL32, VISIBLE_STRING, DOMAIN = 0x08, 0x09, 0x0F
-SIZES = {
-    0x01: 1, 0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4, 0x08: 4,
-    0x0C: 6, 0x0D: 6, 0x10: 3, 0x11: 8, 0x15: 8, 0x16: 3, 0x1B: 8,
-}  # fmt: skip
-OBJECT_DOMAIN = 0x02
+VISIBLE_STRING, DOMAIN = 0x09, 0x0F
 
 
-@dataclass(frozen=True)
 class EdsEntry:
-    """One sub-index, as the file has it."""
+    """One sub-index, as the file has it; ``flags`` are its ObjFlags (CiA 306)."""
 
-    index: int
-    sub: int
-    name: str
-    data_type: int
-    access: str
-    default: str
-    low: str
-    high: str
-    mappable: bool
-    node_id: int
-    flags: int = 0
-
-    @property
-    def m(self) -> str:
-        """Multiplexer of an SDO frame: index low, index high, sub-index."""
-        return f"{self.index & 0xFF:02X} {self.index >> 8:02X} {self.sub:02X}"
-
-    @property
-    def readable(self) -> bool:
-        return self.access != "wo"
-
-    @property
-    def writable(self) -> bool:
-        return self.access in ("rw", "wo", "rww", "rwr")
-
-    @property
-    def size(self) -> int:
+    def __init__(self, variable: ODVariable, flags: int) -> None:
+        self.index, self.sub, self.flags = variable.index, variable.subindex, flags
+        self.data_type, self.access = variable.data_type, variable.access_type
+        self.mappable, self.low, self.high = variable.pdo_mappable, variable.min, variable.max
+        self.size = len(variable) // 8 if self.data_type in variable.STRUCT_TYPES else 0
         """Bytes of a value; 0 for strings and DOMAIN."""
-        return SIZES.get(self.data_type, 0)
-
-    @property
-    def mapping(self) -> int:
+        self.default = b"" if variable.default is None else variable.encode_raw(variable.default)
+        """The bytes of it; none if there is no default."""
+        self.readable, self.writable = self.access != "wo", self.access in ("rw", "wo", "rww", "rwr")
+        self.mapping = self.index << 16 | self.sub << 8 | 8 * self.size
         """The entry of a PDO mapping that names this object."""
-        return self.index << 16 | self.sub << 8 | 8 * self.size
-
-    def integer(self, text: str) -> int:
-        """A number as the file writes it, $NODEID replaced."""
-        total = 0
-        for term in text.split("+"):
-            name = term.strip()
-            total += self.node_id if name.upper() == "$NODEID" else int(name, 0)
-        return total
-
-    def raw(self, text: str) -> bytes:
-        """The bytes that a default or a limit means."""
-        if self.data_type == VISIBLE_STRING:
-            return text.encode("latin-1")
-        if self.data_type == REAL32:
-            return struct.pack("<f", float(text))
-        return self.little(self.integer(text))
-
-    def little(self, value: int) -> bytes:
-        """A number in the bytes of this type."""
-        return (value % (1 << 8 * self.size)).to_bytes(self.size, "little")
+        self.m = f"{self.index & 0xFF:02X} {self.index >> 8:02X} {self.sub:02X}"
+        """Multiplexer of an SDO frame: index low, index high, sub-index."""
 
     def __str__(self) -> str:
         return f"{self.index:04X}_{self.sub:02X}"
 
 
-@dataclass
 class Eds:
     """One EDS file for a node-ID."""
 
-    name: str
-    node_id: int
-    entries: dict[tuple[int, int], EdsEntry] = field(init=False)
-    objects: dict[int, int] = field(init=False)
-    """Object type by index."""
-
-    def __post_init__(self) -> None:
-        parser = RawConfigParser()
-        parser.read(FOLDER / f"{self.name}.eds")
-        self._parser = parser
-        self.entries, self.objects = {}, {}
-        for section in parser.sections():
-            index, found, sub = section.lower().partition("sub")
-            if len(index) != 4 or not parser.has_option(section, "ParameterName"):
-                continue
-            if not found:
-                self.objects[int(index, 16)] = int(parser[section].get("ObjectType", "0x7"), 0)
-            if found or parser.has_option(section, "AccessType"):
-                entry = self._entry(section, int(index, 16), int(sub or "0", 16))
-                self.entries[entry.index, entry.sub] = entry
-
-    def _entry(self, section: str, index: int, sub: int) -> EdsEntry:
-        options = parser = self._parser[section]
-        object_type = int(options.get("ObjectType", "0x7"), 0)
-        return EdsEntry(
-            index,
-            sub,
-            options["ParameterName"],
-            int(parser.get("DataType", hex(DOMAIN) if object_type == OBJECT_DOMAIN else "0"), 0),
-            options.get("AccessType", "rw").lower(),
-            options.get("DefaultValue", ""),
-            options.get("LowLimit", ""),
-            options.get("HighLimit", ""),
-            int(options.get("PDOMapping", "0") or "0", 0) == 1,
-            self.node_id,
-            int(options.get("ObjFlags", "0") or "0", 0),
-        )
+    def __init__(self, name: str, node_id: int) -> None:
+        self.name, self.node_id = name, node_id
+        text = eds_of(name, node_id)
+        self.sections = text.sections
+        listed = [(index, sub, text.sections[section]) for index, sub, section in text.listed()]
+        self.objects = {index: int(options["ObjectType"], 0) for index, sub, options in listed if sub is None}
+        """Object type by index."""
+        self.options = {(index, sub or 0): options for index, sub, options in listed}
+        flags = {place: int(options.get("ObjFlags", "0"), 0) for place, options in self.options.items()}
+        self.entries = {place: EdsEntry(entry, flags[place]) for place, entry in text.entries.items()}
 
     def has(self, index: int, sub: int = 0) -> bool:
         return (index, sub) in self.entries
@@ -129,12 +50,11 @@ class Eds:
     def __getitem__(self, key: tuple[int, int]) -> EdsEntry:
         return self.entries[key]
 
-    @cached_property
+    @property
     def dummies(self) -> set[int]:
         """Data types that an RPDO may map to fill a gap."""
-        if not self._parser.has_section("DummyUsage"):
-            return set()
-        return {int(name[5:], 16) for name, on in self._parser.items("DummyUsage") if int(on or "0", 0)}
+        usage = self.sections["DummyUsage"]
+        return {int(name.removeprefix("Dummy"), 16) for name, is_on in usage.items() if is_on == "1"}
 
     def numbers(self, first: int) -> list[int]:
         """Numbers of the PDOs (from 1) whose communication parameters begin at `first`."""

@@ -26,7 +26,7 @@ MODULE_ID, INTERFACE_ID = 0x20, 0x10
 RPDO1, SYNC = 0x180 + INTERFACE_ID, 0x080
 INVALID = 0x80000000  # of a COB-ID
 NAME, HEARTBEAT = "08 10 00", "17 10 00"  # 1008h is longer than 4 bytes
-EDS = {MODULE: Eds("canfb-module", MODULE_ID), INTERFACE: Eds("encoder-interface", INTERFACE_ID)}
+EDS = {MODULE: Eds("canfb-module.eds", MODULE_ID), INTERFACE: Eds("encoder-interface.eds", INTERFACE_ID)}
 
 # Abort codes as the list writes them; G is accepted wherever the list says so.
 G = "08000000"
@@ -86,7 +86,7 @@ class Tester:
     @property
     def name(self) -> bytes:
         """1008h."""
-        return self.eds[0x1008, 0].default.encode()
+        return self.eds[0x1008, 0].default
 
     @property
     def nn(self) -> str:

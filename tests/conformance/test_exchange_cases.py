@@ -49,9 +49,8 @@ EXCHANGES: dict[str, list[tuple[str, str | tuple[str, ...]]]] = {
 
 
 def test_exchange(tester: Tester, case: str) -> None:
-    device_type = tester.eds[0x1000, 0]
     words = {
-        "device_type": hexes(device_type.raw(device_type.default)),
+        "device_type": hexes(tester.eds[0x1000, 0].default),
         "sdo_request": little(0x600 + tester.id, 4),
         "sdo_answer": little(0x580 + tester.id, 4),
         "emergency": little(0x80 + tester.id, 4),

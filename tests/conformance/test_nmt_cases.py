@@ -29,7 +29,7 @@ def test_state_01_random_writes_and_reset(tester: Tester, seed: int) -> None:
     tester.nmt("81")
     for entry in entries:
         if entry.default and entry.readable:
-            assert tester.upload(entry.m) == entry.raw(entry.default), entry
+            assert tester.upload(entry.m) == entry.default, entry
 
 
 def set_up_services(tester: Tester) -> list[int]:

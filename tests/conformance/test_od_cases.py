@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from conformance_eds import DOMAIN, FOLDER, VISIBLE_STRING, EdsEntry
+from conformance_eds import DOMAIN, VISIBLE_STRING, EdsEntry
 from conformance_kit import NO_READ, NO_WRITE, G, Tester, filled, hexes, little, m
 
+from canfb.eds_files import eds_path
 from processes import python
 
 COMMUNICATION, DEVICE = range(0x1000, 0x2000), range(0x2000, 0x10000)
@@ -72,14 +73,14 @@ DCFCHK = "import sys; from dcf.cli import main; sys.exit(main())"
 
 
 def test_eds_01_static_check(tester: Tester) -> None:
-    done = python("-c", DCFCHK, "-n", str(tester.id), str(FOLDER / f"{tester.eds.name}.eds"))
+    done = python("-c", DCFCHK, "-n", str(tester.id), str(eds_path(tester.eds.name)))
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     for index in tester.eds.objects:
         subs = [entry.sub for entry in tester.eds.entries.values() if entry.index == index]
         assert subs, f"{index:04X}h has no entry"
         if len(subs) > 1 and index != ERROR_HISTORY and not is_pdo_record(index):
             highest = tester.eds[index, 0]
-            assert highest.integer(highest.default) == max(subs)
+            assert highest.default == bytes([max(subs)])
     for entry in tester.eds.entries.values():
         assert entry.access in ("ro", "wo", "rw", "rww", "rwr", "const")
         assert entry.size or entry.data_type in (VISIBLE_STRING, DOMAIN)
@@ -101,7 +102,7 @@ def test_od_01_and_07_and_od_09_read_and_write_back(tester: Tester, where: range
 def test_od_02_and_08_and_sdo_13_defaults(tester: Tester, where: range) -> None:
     given = [e for e in entries(tester, where) if e.default and e.readable and not e.flags & REFUSE_READ]
     assert given
-    defaults = {str(entry): entry.raw(entry.default) for entry in given}
+    defaults = {str(entry): entry.default for entry in given}
     assert {str(entry): read(tester, entry) for entry in given} == defaults
 
 
@@ -146,10 +147,10 @@ def test_od_05_type_information(tester: Tester) -> None:
 def test_od_06_limits(tester: Tester, side: str) -> None:
     limited = 0
     for entry in tester.eds.entries.values():
-        text = entry.low if side == "low" else entry.high
-        if not (text and entry.writable and entry.size <= 4):
+        limit = entry.low if side == "low" else entry.high
+        if limit is None or not (entry.writable and entry.size <= 4):
             continue
-        beyond = entry.integer(text) + (-1 if side == "low" else 1)
+        beyond = limit + (-1 if side == "low" else 1)
         if not 0 <= beyond < 1 << 8 * entry.size:
             continue  # no such value
         before = tester.upload(entry.m)

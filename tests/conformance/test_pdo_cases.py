@@ -6,7 +6,7 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from conformance_kit import INVALID, SYNC, Heard, Tester, little, m, only
+from conformance_kit import INVALID, SYNC, Heard, Tester, hexes, m, only
 
 STOPPED, PRE_OPERATIONAL = "02", "80"
 
@@ -14,13 +14,13 @@ STOPPED, PRE_OPERATIONAL = "02", "80"
 def test_pdo_01_cob_ids_of_the_rpdos(tester: Tester) -> None:
     for number in tester.rpdos:
         entry = tester.eds[0x1400 + number - 1, 1]
-        assert tester.ask(f"40 {entry.m}") == f"43 {entry.m} {little(entry.integer(entry.default), 4)}"
+        assert tester.ask(f"40 {entry.m}") == f"43 {entry.m} {hexes(entry.default)}"
 
 
 def test_pdo_02_cob_ids_of_the_tpdos(tester: Tester) -> None:
     for number in tester.tpdos:
         entry = tester.eds[0x1800 + number - 1, 1]
-        assert tester.ask(f"40 {entry.m}") == f"43 {entry.m} {little(entry.integer(entry.default), 4)}"
+        assert tester.ask(f"40 {entry.m}") == f"43 {entry.m} {hexes(entry.default)}"
 
 
 def set_up(tester: Tester, kind: str, state: str, *, timer_ms: int = 0) -> list[int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from conformance_kit import HEARTBEAT, NAME, NO_INDEX, SAVE, G, Tester, filled, m
+from conformance_kit import HEARTBEAT, NAME, NO_INDEX, SAVE, G, Tester, filled, hexes, m
 
 from sdo_client import crc
 
@@ -16,11 +16,11 @@ def test_crc_of_the_tester_itself() -> None:
 
 def test_sdo_11_below_the_minimum(tester: Tester) -> None:
     # an unsigned entry with a LowLimit above zero
-    entries = [e for e in tester.eds.entries.values() if e.writable and e.low and e.integer(e.low) > 0]
+    entries = [(e, e.low or 0) for e in tester.eds.entries.values() if e.writable and (e.low or 0) > 0]
     assert entries
-    for entry in entries:
+    for entry, low in entries:
         before = tester.upload(entry.m)
-        request = tester.download(entry.index, entry.sub, entry.integer(entry.low) - 1, entry.size)
+        request = tester.download(entry.index, entry.sub, low - 1, entry.size)
         tester.refuse(request, "06090030", "06090032", G)
         assert tester.upload(entry.m) == before
 
@@ -37,10 +37,8 @@ def test_sdo_17_wrong_toggle_bit(tester: Tester) -> None:
 
 
 def test_sdo_19_block_upload_of_four_bytes(tester: Tester) -> None:
-    entry = tester.eds[0x1000, 0]
     assert tester.ask("A0 00 10 00 14 00")[3:] == filled("C2 00 10 00 04")[3:]
-    value = entry.raw(entry.default).hex(" ").upper()
-    assert tester.sdo("A3", wait=0.2) == [filled(f"81 {value}")]
+    assert tester.sdo("A3", wait=0.2) == [filled(f"81 {hexes(tester.eds[0x1000, 0].default)}")]
     assert tester.ask("A2 01 14") == filled("CD 00 00")
     assert tester.sdo("A1", wait=2.0) == []
 
@@ -65,7 +63,7 @@ def test_sdo_27_acknowledge_of_a_segment_never_sent(tester: Tester, sequence: st
 def test_sdo_28_further_servers(tester: Tester) -> None:
     for index in range(0x1201, 0x1280):
         if tester.eds.has(index, 1):
-            assert tester.read(index, 1) == tester.eds[index, 1].integer(tester.eds[index, 1].default)
+            assert tester.upload(m(index, 1)) == tester.eds[index, 1].default
         else:
             tester.refuse(f"40 {m(index, 1)}", *NO_INDEX)
 

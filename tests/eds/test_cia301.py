@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from datetime import datetime
 
 import pytest
-from eds_text import MODULE, NAMES, EdsText, eds_of
 
 from canfb.eds_files import eds_path
+from eds_text import MODULE, NAMES, EdsText, eds_of
 
 LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 U8, U16, U32, STRING, DOMAIN = 0x05, 0x06, 0x07, 0x09, 0x0F

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
-from eds_text import DRIVE, INTERFACE, MODULE, EdsText, eds_of
 
 from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.od.dictionary import Dictionary, Entry
@@ -17,6 +16,7 @@ from canfb.module.parameters import SAME_UNIT
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant
+from eds_text import DRIVE, INTERFACE, MODULE, EdsText, eds_of
 from played import Still
 
 NODE_ID = 32

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from eds_text import NAMES
 
 from canfb.eds_files import eds_path
+from eds_text import NAMES
 from processes import python
 
 DCFCHK = ("-W", "always", "-c", "import sys; from dcf.cli import main; sys.exit(main())", "-n", "32")
