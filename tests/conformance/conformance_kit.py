@@ -272,8 +272,10 @@ class Tester:
         """CAN-ID of a TPDO."""
         return self.read(0x1800 + number - 1, 1) & 0x7FF
 
-    def set_up_tpdo(self, number: int, kind: str, *, timer_ms: int = 0, remote: bool | None = None) -> int:
-        """Transmission type of a TPDO as the list sets it: off, type, timer, on. Its CAN-ID."""
+    def set_up_tpdo(
+        self, number: int, kind: str, *, timer_ms: int = 0, start: int = 0, remote: bool | None = None
+    ) -> int:
+        """Transmission type of a TPDO as the list sets it: off, type, timer, SYNC start, on. Its CAN-ID."""
         index = 0x1800 + number - 1
         cob_id = self.read(index, 1) & 0x7FFFFFFF
         if remote is not None:
@@ -282,6 +284,8 @@ class Tester:
         self.accept(f"2F {m(index, 2)} {kind}")
         if timer_ms:
             self.write(index, 5, timer_ms, 2)
+        if start:
+            self.write(index, 6, start, 1)
         self.write(index, 1, cob_id, 4)
         return cob_id & 0x7FF
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import pytest
-from conformance_kit import INVALID, SYNC, Heard, Tester, hexes, m, only
+from conformance_kit import SYNC, Heard, Tester, hexes, m, only
 
 STOPPED, PRE_OPERATIONAL = "02", "80"
 
@@ -23,30 +24,20 @@ def test_pdo_02_cob_ids_of_the_tpdos(tester: Tester) -> None:
         assert tester.ask(f"40 {entry.m}") == f"43 {entry.m} {hexes(entry.default)}"
 
 
-def set_up(tester: Tester, kind: str, state: str, *, timer_ms: int = 0) -> list[int]:
-    """Every TPDO valid by default with this type; then the NMT state. The CAN-IDs."""
+def set_up(tester: Tester, kind: str, state: str, **options: Any) -> list[int]:
+    """Every TPDO valid by default with this type and these options; then the NMT state. The CAN-IDs."""
     numbers = tester.valid_tpdos
     assert numbers
-    can_ids = [tester.set_up_tpdo(number, kind, timer_ms=timer_ms) for number in numbers]
+    can_ids = [tester.set_up_tpdo(number, kind, **options) for number in numbers]
     tester.nmt(state)
     return can_ids
 
 
-def set_up_counted(tester: Tester, kind: int, start: int, state: str) -> list[int]:
+def set_up_counted(tester: Tester, kind: str, start: int, state: str) -> list[int]:
     """As `set_up`, with a SYNC counter and the counter value to start at."""
     tester.write(0x1006, 0, 0, 4)
     tester.write(0x1019, 0, 10, 1)
-    numbers = tester.valid_tpdos
-    for number in numbers:
-        index = 0x1800 + number - 1
-        cob_id = tester.read(index, 1)
-        tester.write(index, 1, cob_id | INVALID, 4)
-        tester.write(index, 2, kind, 1)
-        tester.write(index, 6, start, 1)
-        tester.write(index, 1, cob_id, 4)
-    can_ids = [tester.cob_id(number) for number in numbers]
-    tester.nmt(state)
-    return can_ids
+    return set_up(tester, kind, state, start=start)
 
 
 def length_of(tester: Tester, number: int) -> int:
@@ -100,7 +91,7 @@ def test_pdo_07_sync_after_an_event(tester: Tester) -> None:
 
 
 def test_pdo_08_sync_start_value(tester: Tester) -> None:
-    can_ids = set_up_counted(tester, 3, 4, "01")
+    can_ids = set_up_counted(tester, "03", 4, "01")
     sent_at: dict[int, list[int]] = {can_id: [] for can_id in can_ids}
     counters = [*range(2, 11), *range(1, 11)]  # the tester begins anywhere
     for place, counter in enumerate(counters):
@@ -145,7 +136,7 @@ def check_no_sync(tester: Tester, state: str) -> None:
 
 
 def check_no_start(tester: Tester, state: str) -> None:
-    can_ids = set_up_counted(tester, 1, 2, state)
+    can_ids = set_up_counted(tester, "01", 2, state)
     for counter in (1, 2, 3, 4):
         no_pdo(tester, can_ids, tester.send(SYNC, f"{counter:02X}") + tester.wait(0.1))
 

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import pytest
 from conformance_eds import EdsEntry
-from conformance_kit import INVALID, Tester, little, m
+from conformance_kit import INVALID, G, Tester, little, m
 
 LENGTH = ("06040042", "06040041", "06010000", "06020000")
-NOT_NOW = ("06010000", "06040041")
+NOT_NOW = ("06010000", "06040041", G)
 NOT_MAPPABLE = ("06020000", "06040041")
 
 
@@ -95,20 +95,15 @@ def test_pdo_22_changing_the_mapping(tester: Tester) -> None:
         assert [tester.read(pdo.mapping, sub) for sub in range(1, number + 1)] == values
 
 
-def test_pdo_23_mapping_while_it_counts_objects(tester: Tester) -> None:
+def test_pdo_23_and_24_mapping_while_it_counts_objects_and_of_a_valid_pdo(tester: Tester) -> None:
     for pdo in valid_pdos(tester):
         before = tester.read(pdo.mapping, 1)
+        tester.refuse(mapping(pdo, before), *NOT_NOW)
+        tester.refuse(f"2F {m(pdo.mapping)} 00", *NOT_NOW)
+        assert tester.read(pdo.mapping, 1) == before
         switch_off(tester, pdo)
         assert tester.read(pdo.mapping) > 0
-        tester.refuse(mapping(pdo, before), *NOT_NOW, "08000000")
-        assert tester.read(pdo.mapping, 1) == before
-
-
-def test_pdo_24_mapping_of_a_valid_pdo(tester: Tester) -> None:
-    for pdo in valid_pdos(tester):
-        before = tester.read(pdo.mapping, 1)
-        tester.refuse(mapping(pdo, before), *NOT_NOW, "08000000")
-        tester.refuse(f"2F {m(pdo.mapping)} 00", *NOT_NOW, "08000000")
+        tester.refuse(mapping(pdo, before), *NOT_NOW)
         assert tester.read(pdo.mapping, 1) == before
 
 
