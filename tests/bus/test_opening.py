@@ -9,7 +9,6 @@ import re
 import struct
 import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import can
@@ -20,6 +19,7 @@ from can.interfaces.virtual import VirtualBus
 from canfb.bus.opening import describe, group_port, open_bus, open_device_bus
 from canfb.bus.raw_can_bus import RawCanBus
 from canfb.errors import BusError, ConfigError
+from documentation import page
 from folding import each
 
 
@@ -112,11 +112,11 @@ def test_a_multicast_group_has_a_port_of_its_own() -> None:
 
 
 def test_the_page_has_the_port_of_its_example() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "vcan.md").read_text(encoding="utf-8")
+    text = page("vcan")
     group, port = "239.74.163.3", PORTS["239.74.163.3"]
-    assert f"| {group} | {port} |" in page
-    assert f'channel="{group}", port={port})' in page
-    assert "61440 + CRC-32 of its address (the 4 or 16 bytes) modulo 4096" in page
+    assert f"| {group} | {port} |" in text
+    assert f'channel="{group}", port={port})' in text
+    assert "61440 + CRC-32 of its address (the 4 or 16 bytes) modulo 4096" in text
 
 
 GROUP = "239.74.163.3"

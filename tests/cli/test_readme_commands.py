@@ -27,7 +27,7 @@ from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer
 from canfb.simulation.encoder import MotionSource
 from canfb.simulation.set_up import of_motion, source_of
 from canfb.sources.recording_source import RecordingSource
-from documentation import blocks, commands, page
+from documentation import ROOT, blocks, commands, page
 from judged_session import check, new_judge
 from processes import Process, python
 
@@ -65,7 +65,6 @@ def ten_seconds(
     return valid, errors, module, source
 
 
-ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 SESSION = page("vcan").partition("## Node by node")[2].partition("\n## ")[0]
 SIMULATION = page("simulation")

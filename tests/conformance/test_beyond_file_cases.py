@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from conformance_eds import DOMAIN
 from conformance_kit import RPDO1, SYNC, Tester, little, only
 
 from canfb.eds_files import eds_path
-
-CHOICES = Path(__file__).parents[2] / "docs" / "canopen.md"
+from documentation import page
 
 
 @pytest.mark.parametrize("kind", ["00", "FE"])
@@ -49,4 +46,4 @@ def test_beyond_24_the_size_of_the_stored_eds(tester: Tester) -> None:
     assert tester.upload("21 10 00") == file
     assert tester.block_upload("21 10 00") == file
     if tester.kind == "module":
-        assert f"({round(len(file) / 1000)} kB: use block transfer)" in CHOICES.read_text(encoding="utf-8")
+        assert f"({round(len(file) / 1000)} kB: use block transfer)" in page("canopen")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -11,9 +10,9 @@ from canfb.cia301.codes import AbortCode, EmergencyCode
 from canfb.cia301.frame import Frame
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
+from canfb.eds_files import eds_path
 from documentation import page
 
-ROOT = Path(__file__).parents[2]
 PAGE = page("canopen")
 
 
@@ -39,7 +38,7 @@ def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_frames_of_the_shell_example() -> None:
-    node = Node(Dictionary.load(ROOT / "eds" / "canfb-module.eds", 32), 32)
+    node = Node(Dictionary.load(eds_path("canfb-module"), 32), 32)
     node.start(0.0)
     sent = []
     for can_id, text in re.findall(r"^cansend can0 ([0-9A-F]{3})#(\w+)", section("Try it"), re.M):

@@ -13,6 +13,7 @@ from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.device.od import eds
 from canfb.device.od.dictionary import Dictionary, Entry
+from canfb.eds_files import eds_path
 
 
 @pytest.fixture
@@ -160,7 +161,7 @@ def test_a_file_without_dummies(tmp_path: Path) -> None:
     assert Dictionary.load(path, 1).dummies == frozenset()
 
 
-SHIPPED = sorted((Path(__file__).parents[2] / "eds").glob("*.eds"))
+SHIPPED = sorted(eds_path("drive").parent.glob("*.eds"))
 HOOKS = ("on_read", "on_check", "on_written", "on_download")
 
 

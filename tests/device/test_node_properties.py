@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from copy import deepcopy
 from functools import partial
-from pathlib import Path
 
 from device_kit import ID, Bench, RecordingApplication, hexes
 from hypothesis import given, strategies as st
@@ -16,10 +15,10 @@ from canfb.cia301.frame import Frame
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import COMMUNICATION, LONGEST_BITS, MAPPING, Direction, numbers, resolve
+from canfb.eds_files import eds_path
 from drawing import examples
 
-SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
-PRISTINE = Dictionary.load(SHIPPED, ID)
+PRISTINE = Dictionary.load(eds_path("canfb-module"), ID)
 ERROR_CONTROL = 0x700 + ID
 SERVER = 0x600 + ID
 LSS_REQUEST, LSS_RESPONSE = 0x7E5, 0x7E4

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from functools import partial
 from operator import getitem
-from pathlib import Path
 
 import pytest
 from device_kit import ID, OK, Bench
@@ -18,6 +17,7 @@ from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.device.pdo.mapping import Slot
 from canfb.device.pdo.rpdo import bit_unpacker, length_of, unpacker
 from canfb.device.pdo.tpdo import bit_packer, packer
+from canfb.eds_files import eds_path
 from folding import each
 
 MAPPABLE = [code for code in DataType if datatypes.bit_length(code)]
@@ -86,8 +86,7 @@ def test_a_value_that_does_not_fit_is_named(kind: DataType, value: object) -> No
         packer(slots)()
 
 
-EDS = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
-DICTIONARY = Dictionary.load(EDS, ID)
+DICTIONARY = Dictionary.load(eds_path("canfb-module"), ID)
 SIZES = {1: 4, 2: 1, 3: 2, 5: 2, 6: 1}
 RECEIVED, SENT = (0x1400, 0x1401), (0x1800, 0x1801, 0x1802, 0x1803)
 REMOTE_ONLY = (0xFC, 0xFD)

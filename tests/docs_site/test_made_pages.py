@@ -7,18 +7,17 @@ import dataclasses
 import re
 from configparser import RawConfigParser
 from functools import cache
-from pathlib import Path
 
 import pytest
 
 import canfb
 from canfb.cli.commands import build_parser
+from canfb.eds_files import eds_path
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import source_kinds
 from tools.site.reference import SECTIONS, commands_of, commands_page, keys_of, keys_page, objects_page
 from tools.site.text import as_rst
 
-EDS = Path(__file__).parents[2] / "eds"
 DIMENSIONLESS = {
     "predict",
     "serial_number",
@@ -52,7 +51,7 @@ commands, keys, objects = cache(commands_page), cache(keys_page), cache(objects_
 
 @pytest.mark.parametrize("name", ["canfb-module", "encoder-interface", "drive"])
 def test_every_object_is_there_with_its_unit_and_default(name: str) -> None:
-    text = (EDS / f"{name}.eds").read_text(encoding="utf-8")
+    text = eds_path(name).read_text(encoding="utf-8")
     part = objects().partition(f"`eds/{name}.eds`")[2].partition("\n## ")[0]
     rows = {
         cells[0].strip("`"): cells

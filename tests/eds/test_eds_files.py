@@ -5,15 +5,15 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from eds_text import DRIVE, INTERFACE, MODULE, NAMES, eds_of
 
 from canfb import eds_files
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import EdsNotFoundError, eds_path
 from canfb.errors import CanfbError
+from documentation import ROOT
+from eds_text import DRIVE, INTERFACE, MODULE, NAMES, eds_of
 from folding import each
 
-ROOT = Path(__file__).parents[2]
 FILES = {name: eds_of(name, 32) for name in NAMES}
 TYPES = {"U8": 0x05, "U16": 0x06, "U32": 0x07, "U64": 0x1B, "I8": 0x02, "I16": 0x03, "I32": 0x04, "I64": 0x15}
 TYPES |= {"REAL32": 0x08, "STRING": 0x09, "DOMAIN": 0x0F}

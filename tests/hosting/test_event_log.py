@@ -6,7 +6,6 @@ import json
 import logging
 import re
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 from hypothesis import given, strategies as st
@@ -15,6 +14,7 @@ import canfb
 from canfb.cia301.frame import Frame
 from canfb.hosting.event_log import BURST, LONGEST_WINDOW_S, WINDOW_S, EventLog, Throttle
 from canfb.module.events import DETAILS, Event, EventKind
+from documentation import page
 
 WALL = datetime(2026, 5, 4, 12, 30, 1, 250000, UTC)
 
@@ -101,9 +101,8 @@ def test_after_a_quiet_time_the_next_one_passes_at_once() -> None:
 
 
 def test_the_page_has_a_row_for_every_kind() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "service.md").read_text(encoding="utf-8")
     rows = re.findall(
-        r"^\| `(\w+)` \| (.*) \|$", page.partition("\n## Events")[2].partition("\n## ")[0], re.M
+        r"^\| `(\w+)` \| (.*) \|$", page("service").partition("\n## Events")[2].partition("\n## ")[0], re.M
     )
     assert [kind for kind, _ in rows] == ["event", *map(str, EventKind)]
     assert {kind for kind, text in rows if "only with `-v`" in text} == {str(kind) for kind in DETAILS}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,10 +22,11 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.limits import narrowed_residual_limit, samples_without_harm
 from canfb.simulation.scenario import MotionConfig
 from canfb.simulation.set_up import of_motion
+from documentation import page
 from drawing import examples
 from folding import each
 
-LEGAL = (Path(__file__).parents[2] / "docs" / "supervision.md").read_text(encoding="utf-8")
+LEGAL = page("supervision")
 RPM = 60.0 / (2.0 * math.pi)
 LIMIT = 21845 / 65536
 

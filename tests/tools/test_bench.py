@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -11,7 +10,7 @@ import pytest
 import canfb
 from canfb.cia301.frame import Frame
 from canfb.simulation.embedded_bus import EmbeddedBus
-from documentation import page
+from documentation import ROOT, page
 from tools.bench import bus, bus_others, cycle
 from tools.bench.bus_others import SdoClient, set_up
 from tools.bench.cycle import NODE_ID
@@ -139,7 +138,7 @@ def test_an_interface_that_there_is_not_is_told() -> None:
 
 
 def test_the_picture_names_the_objects_as_text() -> None:
-    picture = ElementTree.parse(Path(__file__).parents[2] / "docs" / "latency.svg")
+    picture = ElementTree.parse(ROOT / "docs" / "latency.svg")
     texts = " ".join(text for node in picture.iter() if (text := node.text))
     for name in ("6004h", "6008h", "2011:07", "6030h", "6040h", "2011:02", "6300h", "EMCY", "predict"):
         assert name in texts

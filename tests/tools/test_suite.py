@@ -15,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
+from documentation import ROOT
 from tools.suite import mutate, package
 
-ROOT = Path(__file__).parents[2]
 GOOD = {
     "LICENSE": b"MIT",
     "PKG-INFO": b"",

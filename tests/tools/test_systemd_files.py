@@ -12,9 +12,8 @@ import pytest
 
 from canfb.cli.commands import WRONG_USE
 from canfb.cli.main import FAILED
-from documentation import blocks, page
+from documentation import ROOT, blocks, page
 
-ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "tools" / "systemd"
 PAGE = page("service").partition("\n## Events")[0]
 UNIT = (FOLDER / "canfb@.service").read_text(encoding="utf-8")
