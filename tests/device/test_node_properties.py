@@ -14,9 +14,9 @@ from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo.mapping import COMMUNICATION, LONGEST_BITS, MAPPING, Direction, numbers, resolve
 from canfb.eds_files import eds_path
 from drawing import examples
+from tools.fuzz.body import Play
 
 PRISTINE = Dictionary.load(eds_path("canfb-module"), ID)
 ERROR_CONTROL = 0x700 + ID
@@ -79,22 +79,6 @@ def may_send(node: Node) -> set[int]:
         tpdos = range(0x1800, 0x1804)
         allowed |= {value_of(node.dictionary, index, 1) & cob.CAN_ID for index in tpdos}
     return allowed
-
-
-def check_pdos(dictionary: Dictionary) -> None:
-    """COB-IDs, types and mappings are possible ones."""
-    for direction in Direction:
-        for number in numbers(dictionary, direction):
-            communication = COMMUNICATION[direction] + number - 1
-            mapping = MAPPING[direction] + number - 1
-            cob_id = dictionary.entry(communication, 1).value
-            kind = dictionary.entry(communication, 2).value
-            assert kind <= 240 or kind >= 252
-            assert not cob_id & 0x3FFFF800
-            assert not (cob.is_valid(cob_id) and cob.is_restricted(cob_id & cob.CAN_ID))
-            count = dictionary.entry(mapping, 0).value
-            mapped = [dictionary.entry(mapping, sub).value for sub in range(1, count + 1)]
-            assert sum(resolve(dictionary, value, direction).bits for value in mapped) <= LONGEST_BITS
 
 
 class NodeModel(RuleBasedStateMachine):
@@ -284,8 +268,8 @@ class NodeModel(RuleBasedStateMachine):
         assert len(nodes) == len(set(nodes))
 
     @invariant()
-    def the_pdos_are_possible(self) -> None:
-        check_pdos(self.node.dictionary)
+    def values_and_pdos_are_possible(self) -> None:
+        Play(self.node).check_values()  # type: ignore[arg-type]
 
     @invariant()
     def the_error_register_fits_the_errors(self) -> None:
