@@ -5,16 +5,15 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import re
-from configparser import RawConfigParser
 from functools import cache
 
 import pytest
 
 import canfb
 from canfb.cli.commands import build_parser
-from canfb.eds_files import eds_path
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import source_kinds
+from eds_text import eds_of
 from tools.site.reference import SECTIONS, commands_of, commands_page, keys_of, keys_page, objects_page
 from tools.site.text import as_rst
 
@@ -51,24 +50,22 @@ commands, keys, objects = cache(commands_page), cache(keys_page), cache(objects_
 
 @pytest.mark.parametrize("name", ["canfb-module", "encoder-interface", "drive"])
 def test_every_object_is_there_with_its_unit_and_default(name: str) -> None:
-    text = eds_path(name).read_text(encoding="utf-8")
+    eds = eds_of(f"{name}.eds", 32)
     part = objects().partition(f"`eds/{name}.eds`")[2].partition("\n## ")[0]
     rows = {
         cells[0].strip("`"): cells
         for line in part.splitlines()
         if len(cells := [one.strip() for one in re.split(r"(?<!\\)\|", line)[1:-1]]) == 8
     }
-    parser = RawConfigParser(inline_comment_prefixes=(";",))
-    parser.read_string(text)
-    for section in parser.sections():
-        found = re.fullmatch(r"([0-9A-F]{4})(?:sub([0-9A-F]+))?", section, re.IGNORECASE)
-        if found and parser.get(section, "ObjectType") not in ("0x8", "0x9"):
-            row = rows[f"{found[1].upper()}:{int(found[2] or '0', 16):02X}"]
-            assert parser.get(section, "ParameterName").lower() in row[1].replace("\\", "").lower()
-            assert row[6].strip("`") == parser.get(section, "DefaultValue", fallback="").strip()
+    for index, subindex, section in eds.listed():
+        options = eds.sections[section]
+        if options["ObjectType"] not in ("0x8", "0x9"):
+            row = rows[f"{index:04X}:{subindex or 0:02X}"]
+            assert options["ParameterName"].lower() in row[1].replace("\\", "").lower()
+            assert row[6].strip("`") == options.get("DefaultValue", "").strip()
     units = {  # read by other means than the page
-        f"{index.upper()}:{int(subindex or '0', 16):02X}": unit
-        for unit, index, subindex in re.findall(r"^;Unit=(.*)\n\[(\w{4})(?:sub(\w+))?\]", text, re.MULTILINE)
+        f"{index.upper()}:{int(sub or '0', 16):02X}": unit
+        for unit, index, sub in re.findall(r"^;Unit=(.*)\n\[(\w{4})(?:sub(\w+))?\]", eds.text, re.MULTILINE)
     }
     assert units
     for number, unit in units.items():
