@@ -12,7 +12,9 @@ from collections.abc import Sequence
 
 STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
 STILL_SAMPLES, STILL_CYCLES = 256, 0.02
-SLIP_CYCLES = 0.15  # of a phase that is off: less than half a cycle, with the residual limit of 1/3
+# What an error of a time may make of a phase at the speed of the machine, without a second opinion: with the
+# residual limit of 1/3 it is less than half a cycle.
+SLIP_CYCLES = 0.15
 MOVED_CYCLES = 0.05  # what the errors of two phases do not show: twice the largest one, and once more as much
 STEADY_SAMPLES = 16  # show whether the machine stands still
 
