@@ -34,15 +34,14 @@ def change_of_figure(record: Recording, waveform: Waveform, conditioning: Condit
     tells = _moves(angle / (2.0 * np.pi)) & (sizes > 0.0)  # at standstill there is one phase
     off, angle = off[tells], angle[tells]
     columns = np.array([part(order * angle) for order in (1, 2) for part in (np.cos, np.sin)])
+    counted = [number for number in WINDOWS if len(off) >= FEWEST * number]
+    windows = [part for number in counted for part in np.array_split(np.arange(len(off)), number)]
+    scatter = float(np.median(np.abs(off))) if windows else 0.0
     largest = Drift()
-    for number in WINDOWS:
-        if len(off) < FEWEST * number:
-            break
-        scatter = float(np.median(np.abs(off)))
-        for part in np.array_split(np.arange(len(off)), number):
-            square, variance, high = _deviation(columns[:, part], off[part])
-            if square > max(scatter**2, SIGNIFICANT**2 * variance):
-                largest = max(largest, Drift(float(np.sqrt(square - variance)), high))
+    for part in windows:
+        square, variance, high = _deviation(columns[:, part], off[part])
+        if square > max(scatter**2, SIGNIFICANT**2 * variance):
+            largest = max(largest, Drift(float(np.sqrt(square - variance)), high))
     return largest
 
 

@@ -117,7 +117,7 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     sensitivity = table_sensitivity(fit.waveform, conditioning)
     spread = np.sqrt(table_variance(sensitivity, fit.covariance))
     expected = root_mean(spread)
-    each = [_fit_of_part(blocks, fit, rows) for rows in independent_parts(len(blocks))]
+    each = [_fit_of_part(fit, rows) for rows in independent_parts(len(blocks))]
     parts = [table_of(raw_phase_curve(one.waveform, conditioning), entries).entries for one in each]
     measured = measured_error(parts)
     tables = [CorrectionTable(np.mean(parts[odd::2], axis=0)) for odd in (0, 1)]
@@ -186,15 +186,15 @@ def _change(fit: JointFit, sensitivity: FloatArray, doubt: float) -> Drift:
     for count in (THIRDS, FINE):
         if len(moving) < 4 * count:  # blocks: the covariance of a fit to four says how uncertain it is
             break
-        parts = [_fit_of_part(fit.blocks, fit, rows) for rows in np.array_split(moving, count)]
+        parts = [_fit_of_part(fit, rows) for rows in np.array_split(moving, count)]
         tables = np.array([sensitivity @ p.waveform.coefficients.ravel() for p in parts])
         spreads = [np.sqrt(table_variance(sensitivity, p.covariance)) for p in parts]
         largest = max(largest, largest_change(tables, doubt * np.array([*map(root_mean, spreads)])))
     return largest
 
 
-def _fit_of_part(blocks: Blocks, fit: JointFit, rows: IntArray) -> JointFit:
-    return fit_jointly(blocks.take(rows), fit.waveform, fit.motion[rows], rounds=6, noise=fit.noise)
+def _fit_of_part(fit: JointFit, rows: IntArray) -> JointFit:
+    return fit_jointly(fit.blocks.take(rows), fit.waveform, fit.motion[rows], rounds=6, noise=fit.noise)
 
 
 def measured_error(tables: list[FloatArray]) -> float:
