@@ -318,12 +318,16 @@ def nmt_state(node: NodeAccess) -> NmtState:
 
 
 @contextlib.contextmanager
-def without_restart(node: NodeAccess) -> Iterator[None]:
-    """CommissioningError at the end after a restart."""
+def without_restart(node: NodeAccess) -> Iterator[Callable[[], None]]:
+    """CommissioningError at the end after a restart; yields the check."""
+
+    def check() -> None:
+        if cob.BOOT_UP in heard:
+            raise CommissioningError(f"{node.name} was restarted meanwhile (boot-up heard)")
+
     with received(node.master, cob.ERROR_CONTROL + node.node_id) as heard:
-        yield
-    if cob.BOOT_UP in heard:
-        raise CommissioningError(f"{node.name} was restarted meanwhile (boot-up heard)")
+        yield check
+    check()
 
 
 def _wait_until(master: Master, within_s: float, holds: Callable[[], object]) -> bool:

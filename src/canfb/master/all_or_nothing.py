@@ -209,11 +209,11 @@ def change(
         return undone()
 
     try:
-        with without_restart(module):
-            with without_restart(module):  # what a restart has left of the change is not saved
-                act()
+        with without_restart(module) as check:
+            act()
             if not keep:
                 return None
+            check()  # what a restart has left of the change is not saved
             step("saving")
             saving = True
             return save(module, stores)
