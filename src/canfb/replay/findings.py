@@ -17,7 +17,7 @@ from canfb import objects as od
 from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.over_speeds import sampled_together
 from canfb.calibration.recording import recording
-from canfb.calibration.result import drift
+from canfb.calibration.result import drift, runs
 from canfb.errors import CalibrationError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.chain_config import ChainLimits
@@ -165,10 +165,9 @@ class FaultList:
     def take(self, block: Block) -> None:
         for kind, bit in KINDS.items():
             there = block["status"] & bit != 0
-            steps = np.flatnonzero(np.diff(there, prepend=False, append=False)).reshape(-1, 2)
             self.samples[kind] += int(there.sum())
             goes_on = self._open.pop(kind, None)
-            for begin, end in steps.tolist():
+            for begin, end in runs(there).tolist():
                 if begin == 0 and goes_on is not None:
                     fault = goes_on
                     fault.samples += end

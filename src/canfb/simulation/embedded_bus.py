@@ -113,11 +113,12 @@ class SyncProducer(SimulatedDevice):
     def deviation_s(self) -> float:
         """How late the next SYNC goes out (negative: early), at most 0.45 periods: they keep their order."""
         timing, rng, largest_s = self._timing, self._rng, LARGEST_PART * self.period_s
+        if not (timing.sync_jitter_us or timing.sync_jitter_rms_us or timing.bus_load):
+            return 0.0
         off_us = timing.sync_jitter_us * float(rng.uniform(-1.0, 1.0))
         off_us += timing.sync_jitter_rms_us * max(-CUT_OFF, min(CUT_OFF, float(rng.normal())))
-        blocked = float(rng.uniform()) < timing.bus_load
-        bits = LONGEST_FRAME_BITS * float(rng.uniform())
-        off_s = off_us * 1e-6 + (bits / timing.bus_bit_rate if blocked else 0.0)
+        blocking_bits = (float(rng.uniform()) < timing.bus_load) * LONGEST_FRAME_BITS
+        off_s = off_us * 1e-6 + blocking_bits * float(rng.uniform()) / timing.bus_bit_rate
         return max(-largest_s, min(largest_s, off_s))
 
 
@@ -355,8 +356,7 @@ class EmbeddedBus:
 
     def _compute(self) -> None:
         for participant, computing in self._computing:
-            job = computing.pending_job()
-            if job is not None and self.computes:
+            if self.computes and (job := computing.pending_job()) is not None:
                 self._put(participant, computing.finish_job(job, job(), self.now))
 
     def _put(self, sender: Device | None, frames: list[Frame]) -> None:
