@@ -6,6 +6,7 @@ import math
 import random
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import assume, given, strategies as st
 from witness_kit import AMPLITUDE, Machine, at, flags, moving
@@ -32,6 +33,21 @@ def test_a_gap_that_the_caller_counted_is_stepped_over_and_flagged() -> None:
     assert got.valid
     too_long = machine.chain.step(at(position, elapsed=9.0))
     assert StatusBit.LOST in flags(too_long)
+
+
+@each("kind", [np.float16, np.float32, np.int16])
+@each("ticks", [None, np.uint32])
+def test_numbers_of_numpy_give_the_bits_of_plain_ones(kind: Any, ticks: Any) -> None:
+    ours, theirs, trackers = SignalChain(ChainConfig()), SignalChain(ChainConfig()), (Tracker(), Tracker())
+    for n in range(40):
+        sine, cosine = map(kind, at(0.003 * n * n)[:2])
+        time = ticks and ticks(10_000 * n)
+        got = theirs.step(Sample(sine, cosine, kind(1), False, kind(0), kind(1500), time_100ns=time))
+        plain = (float(sine), float(cosine), 1.0, False, 0.0, 1500.0)
+        wanted = ours.step(Sample(*plain, time_100ns=time and int(time)))
+        assert (got, *map(type, got)) == (wanted, *map(type, wanted))
+        phase = kind(wanted.phase % 0.999)
+        assert repr(trackers[0].update(phase)) == repr(trackers[1].update(float(phase)))
 
 
 @each("speed", [0.0, 20.4])

@@ -267,7 +267,7 @@ class SignalChain:
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
         taken, in their order; the result is that of the newest, :attr:`between` has the others.
         """
-        time_100ns, elapsed = sample.time_100ns, sample.elapsed
+        time_100ns, elapsed = sample.time_100ns, float(sample.elapsed)
         if not 0.0 < elapsed < inf:
             return self.uncertain(inf) or self.after(sample, 1.0, placed=False)
         if time_100ns is None:
@@ -275,7 +275,7 @@ class SignalChain:
         times, stages = self.times, self.stages
         speed, unit_s = abs(stages.estimator.tracker.step_cycles) * self._per_sync, times.unit_s
         counted = elapsed + times.waited + self._left_out
-        passed = times.elapsed(time_100ns, counted, received_s, synced_s, speed)
+        passed = times.elapsed(int(time_100ns), counted, received_s, synced_s, speed)
         self._unit_may_have_changed(unit_s)
         self.crowded = passed == CROWDED
         if passed <= 0.0:
@@ -344,10 +344,10 @@ class SignalChain:
         if self._per_sync > 1:
             return self._take_all(sample, elapsed, bad, not placed, next_one)
         in_turn = elapsed == 1.0 or (timed and elapsed <= HOLE_INTERVALS)
-        if in_turn and not bad and coarse is pulse is None:
-            return self.stages.take(sine, cosine, elapsed, timed)
-        extras = Extras(sample, bad, not placed, next_one)
-        return self.stages.take(sine, cosine, elapsed, timed, extras)
+        usual = in_turn and not bad and coarse is pulse is None
+        extras = None if usual else Extras(sample, bad, not placed, next_one)
+        # Numbers of numpy would make all that follows as coarse as they are, or overflow.
+        return self.stages.take(float(sine), float(cosine), elapsed, timed, extras)
 
     def _take_all(
         self, sample: Sample, elapsed: float, bad: bool, unplaced: bool, next_one: bool
@@ -362,7 +362,7 @@ class SignalChain:
         for one in samples[:-1]:
             follows = stages.place is not None
             extras = Extras(one._replace(zero_pulse=None), next_one=next_one, newest=False)
-            feedback = stages.take(one.sine, one.cosine, one.elapsed, timed, extras)
+            feedback = stages.take(float(one.sine), float(one.cosine), one.elapsed, timed, extras)
             after = stages.place
             self.reference.passed(one.elapsed, after is not None)
             if after is None or (between and (between[-1].status ^ feedback.status) & (VALID | LOST)):
@@ -373,7 +373,7 @@ class SignalChain:
         newest = samples[-1]
         whole = elapsed * self._per_sync if bad else newest.elapsed
         extras = Extras(newest, bad, unplaced, next_one, pulse)
-        feedback = stages.take(newest.sine, newest.cosine, whole, timed, extras)
+        feedback = stages.take(float(newest.sine), float(newest.cosine), whole, timed, extras)
         if any(one.status & MISSED for one in between):
             feedback = stages.last = feedback._replace(status=feedback.status | MISSED)
         self.between = tuple(one._replace(status=one.status & ~MISSED) for one in between)

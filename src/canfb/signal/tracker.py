@@ -136,7 +136,7 @@ class Tracker:
             raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phase!r}")
         if not 0.0 < elapsed < math.inf:
             raise ValueError(f"elapsed must be a positive number of sampling intervals, not {elapsed!r}")
-        track = self.look(phase, elapsed)
+        track = self.look(float(phase), elapsed)
         if phase == phase:
             self.accept(track, elapsed)
         else:

@@ -88,7 +88,7 @@ class Reference:
         jump, pair, recovered = 0, None, self.recovered
         if sample.coarse_sine is not None and sample.coarse_cosine is not None:
             self._time += elapsed
-            angle = self.coarse.angle(sample.coarse_sine, sample.coarse_cosine)
+            angle = self.coarse.angle(float(sample.coarse_sine), float(sample.coarse_cosine))
             pair = self.coarse.pair(angle, track.cycles, track.phase, self._time)
             bits, jump = self._hear_coarse(pair, bits, elapsed > 0.0)
         if pulse is not None and jump == 0 and self.recovered == recovered:  # else it is of the speed before
