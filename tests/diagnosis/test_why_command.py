@@ -324,10 +324,10 @@ def test_the_journal_is_that_of_the_services_of_the_configuration(
     canfb: Commands, config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal = tmp_path / "journalctl"
-    journal.write_text('#!/bin/sh\necho "$@"\n')
+    journal.write_text("#!/bin/sh\nprintf '%s \\377\\n' \"$*\"\n")
     journal.chmod(0o755)
     for folder, said in (
-        (tmp_path, "-u canfb@left -u canfb-interface@left -n 500 .*--no-hostname --no-pager -q"),
+        (tmp_path, "-u canfb@left -u canfb-interface@left -n 500 .*--no-hostname --no-pager -q \ufffd"),
         (tmp_path / "empty", "journalctl is not there"),
     ):
         monkeypatch.setenv("PATH", str(folder))

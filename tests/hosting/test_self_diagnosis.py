@@ -16,7 +16,7 @@ import pytest
 
 from canfb.configuration import parse_config
 from canfb.hosting.hosting import Hosting
-from canfb.hosting.self_diagnosis import KeptLines, SelfDiagnosis, diagnosing_on_signal, plain
+from canfb.hosting.self_diagnosis import KeptLines, SelfDiagnosis, diagnosing_on_signal, diagnosis_text, plain
 
 LIMIT_S = 60.0
 BUS = "bus: {interface: virtual, channel: diagnosis, password: apple}\n"
@@ -132,6 +132,7 @@ def test_secrets_are_left_out_and_whatever_an_object_holds_becomes_json() -> Non
         "keys": [{"Password": "(left out)", "token": None}],
         "monkey": "banana",
     }
+    assert json.loads(diagnosis_text("x", {"name": "\udcffµ"}).encode())["name"] == "\udcffµ"
 
 
 def test_the_log_is_bounded() -> None:

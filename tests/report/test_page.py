@@ -39,6 +39,7 @@ def test_text_stays_text() -> None:
     assert found.tags.count("figure") == 3
     assert ("class", "verdict bad") in found.attributes
     assert ("class", "verdict") in Page(page("a", "b", ["c"], "", "d")).attributes
+    assert b"<h1>\\udcff</h1>" in page("\udcff", "b", ["c"], "", "d").encode()  # the name of a file
 
 
 def plot() -> Plot:

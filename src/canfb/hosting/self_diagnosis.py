@@ -70,10 +70,8 @@ def plain(value: Any) -> Any:
         return [plain(one) for one in value]
     if isinstance(value, (bytes, bytearray)):
         return value.hex()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if value is None or isinstance(value, (bool, int, float)):
-        return value
+    if value is None or isinstance(value, (int, float)):
+        return None if isinstance(value, float) and not math.isfinite(value) else value
     return IN_ADDRESS.sub(f"//{HIDDEN}@", str(value))
 
 
@@ -99,7 +97,7 @@ def _said(command: list[str]) -> list[str]:
         return [f"{command[0]} is not there"]
     try:
         done = subprocess.run(
-            [program, *command[1:]], capture_output=True, text=True, timeout=COMMAND_S, check=False
+            [program, *command[1:]], capture_output=True, errors="replace", timeout=COMMAND_S, check=False
         )
     except (OSError, subprocess.SubprocessError) as error:
         return [f"{command[0]}: {error}"]
@@ -125,7 +123,8 @@ class KeptLines(logging.Handler):
 
 def diagnosis_text(made_by: str, parts: Mapping[str, Any]) -> str:
     whole = {"canfb_diagnosis": 1, "made": date_and_time(), "made_by": made_by, **parts}
-    return json.dumps(plain(whole), indent=1, ensure_ascii=False) + "\n"
+    text = json.dumps(plain(whole), indent=1, ensure_ascii=False) + "\n"
+    return text.encode(errors="backslashreplace").decode()  # the name of a file need not be UTF-8
 
 
 log = logging.getLogger(__name__)

@@ -103,8 +103,8 @@ def page(title: str, place: str, said: Sequence[str], body: str, footer: str, go
     place    when, where
     said     the verdict, its first line in bold, each as a sentence; ``good``: its tone
     """
-    first, *others = (_unbroken(escape(_sentence(line))) for line in said)
-    return (
+    first, *others = map(_sentence, said)
+    whole = (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{COLOURS}{DRAWING}{PAGE}</style>\n</head>\n"
@@ -113,14 +113,12 @@ def page(title: str, place: str, said: Sequence[str], body: str, footer: str, go
         f"{''.join(f'<p>{line}</p>' for line in others)}</div>\n"
         f"{body}<footer>{escape(footer)}</footer>\n</body>\n</html>\n"
     )
+    return whole.encode(errors="backslashreplace").decode()  # the name of a file need not be UTF-8
 
 
-def _unbroken(text: str) -> str:
+def _sentence(line: str) -> str:
+    text = escape(f"{line[:1].upper()}{line[1:].removesuffix('.')}.")
     return re.sub(r"(?<![\w-])--[\w-]+", r'<span class="option">\g<0></span>', text)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
 
 
 def beside(left: str, right: str) -> str:
