@@ -39,6 +39,9 @@ def test_a_gap_that_the_caller_counted_is_stepped_over_and_flagged() -> None:
 @each("ticks", [None, np.uint32])
 def test_numbers_of_numpy_give_the_bits_of_plain_ones(kind: Any, ticks: Any) -> None:
     ours, theirs, trackers = SignalChain(ChainConfig()), SignalChain(ChainConfig()), (Tracker(), Tracker())
+    untyped: Any = np
+    for chain in (ours, theirs):
+        chain.use_second(SecondSensor(tolerance_revolutions=0.1))
     for n in range(40):
         sine, cosine = map(kind, at(0.003 * n * n)[:2])
         time = ticks and ticks(10_000 * n)
@@ -46,8 +49,15 @@ def test_numbers_of_numpy_give_the_bits_of_plain_ones(kind: Any, ticks: Any) -> 
         plain = (float(sine), float(cosine), 1.0, False, 0.0, 1500.0)
         wanted = ours.step(Sample(*plain, time_100ns=time and int(time)))
         assert (got, *map(type, got)) == (wanted, *map(type, wanted))
+        ours.hear_second(1, n)
+        theirs.hear_second(1, untyped.int32(n))
         phase = kind(wanted.phase % 0.999)
         assert repr(trackers[0].update(phase)) == repr(trackers[1].update(float(phase)))
+    assert type(ChainConfig(residual_limit=untyped.float16(0.25)).residual_limit) is float
+    theirs.restart(untyped.int64(7))
+    assert type(theirs.step(at(0.0)).cycles) is int
+    with pytest.raises(TypeError, match="integer"):
+        theirs.restart(0.5)  # type: ignore[arg-type]
 
 
 @each("speed", [0.0, 20.4])

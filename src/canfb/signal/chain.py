@@ -94,7 +94,7 @@ class SignalChain:
         """
         second = self.stages.second
         if second is not None:
-            second.hear(values, increments)
+            second.hear(int(values), int(increments))
 
     # What it has found.
 

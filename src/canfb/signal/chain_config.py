@@ -106,7 +106,7 @@ class ChainConfig:
             coast_samples=(0, 255),
             frozen_samples=(0, 255),
         )
-        check_residual_limit(self.residual_limit)
+        object.__setattr__(self, "residual_limit", check_residual_limit(self.residual_limit))
         limit = self.coarse_limit_revolutions
         if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:
             raise ValueError(f"coarse_limit_revolutions must be above 0 and at most 0.25, not {limit!r}")

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from operator import index
 from typing import NamedTuple
 
 import numpy as np
@@ -70,7 +71,7 @@ class Tracker:
         ValueError for a speed that is not finite or above 2**31 in size.
         """
         self._start_speed = check_speed(speed_cycles)
-        self.cycles = cycles
+        self.cycles = index(cycles)
         """Cycle count of the last sample, i(k-1)."""
         self._step = 0  # i(k-1) - i(k-2)
         self._phase = 0.0  # p(k-1)
