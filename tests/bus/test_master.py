@@ -209,6 +209,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_one_at_a_time_for_each_bus_and_node(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert is_free("\udcff", NODE)  # a byte of the command line that is no UTF-8
     with sdo_turn("can0", NODE):
         assert [is_free("can0", NODE), is_free("can0", NODE + 1), is_free("can1", NODE)] == [
             False,

@@ -34,7 +34,8 @@ def sdo_turn(bus: str, node_id: int, longest_s: float = LONGEST_TURN_S) -> Itera
 
     BusError after ``longest_s``. Where no file can be made nobody waits.
     """
-    file = _opened(os.path.join(tempfile.gettempdir(), f"canfb-sdo-{zlib.crc32(bus.encode()):08x}-{node_id}"))
+    name = f"canfb-sdo-{zlib.crc32(bus.encode(errors='backslashreplace')):08x}-{node_id}"
+    file = _opened(os.path.join(tempfile.gettempdir(), name))
     try:
         end = time.monotonic() + longest_s
         while file is not None:

@@ -94,7 +94,12 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], types: Mapping[str
     arrow, parquet = _pyarrow()
     kinds = {str: arrow.string(), int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_()}
     schema = arrow.schema([(name, kinds[kind]) for name, kind in types.items()])
-    parquet.write_table(arrow.Table.from_pylist([dict(row) for row in rows], schema=schema), str(path))
+    plain = [{name: _utf8(one) if isinstance(one, str) else one for name, one in row.items()} for row in rows]
+    parquet.write_table(arrow.Table.from_pylist(plain, schema=schema), str(path))
+
+
+def _utf8(text: str) -> str:  # the name of a file need not be
+    return text.encode(errors="backslashreplace").decode()
 
 
 @contextlib.contextmanager
@@ -237,19 +242,15 @@ def replay_log(
         for replay in replays:
             replay.feed(batch)
         progress(log.part_read)
-    _check_frames(log)
+    if not log.counters.channels:
+        kind = f"of channel {log.channel}" if log.counters.left_out else "with an 11-bit identifier"
+        raise log.no_frame(f"classic frame {kind}")
     results = []
     for replay, track, module in zip(replays, tracks, settings.modules, strict=True):
         replay.close()
         drift = track.drift(replay.module.chain.correction, module.adc_bits) if settings.drift else None
         results.append(ReplayResult(replay, drift, log.counters.left_out_of(replay.own_can_ids)))
     return log, results
-
-
-def _check_frames(log: BusLogFile) -> None:
-    if not log.counters.channels:
-        kind = f"of channel {log.channel}" if log.counters.left_out else "with an 11-bit identifier"
-        raise log.no_frame(f"classic frame {kind}")
 
 
 def _store(module: ModuleConfig, state_dir: Path | None) -> MemoryStore | None:
@@ -324,16 +325,15 @@ def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
 
     Fingerprint: size and time of change, settings, what is saved in state_dir, columns, version of canfb.
     """
-    status, used = path.stat(), settings.correction
+    status, used, words = path.stat(), settings.correction, repr(replace(settings, correction=None))
     saved = [
         (one.name, one.read_bytes())
         for one in sorted(settings.state_dir.glob("*.bin") if settings.state_dir else [])
     ]
     correction = None if used is None else (used.crc32, repr(used.conditioning))
-    words = repr(replace(settings, correction=None))
     parts = (version("canfb"), tuple(COLUMNS), status.st_size, status.st_mtime_ns, words, correction, saved)
     digest = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
-    return LogJob(str(path.relative_to(folder)), path, status.st_size, digest)
+    return LogJob(_utf8(str(path.relative_to(folder))), path, status.st_size, digest)
 
 
 def rows_of(job: LogJob, settings: ReplayOptions) -> list[LogRow]:
