@@ -29,6 +29,11 @@ def decoded(data: bytes) -> str:
         return data.decode("cp1252", "replace")
 
 
+def as_utf8(text: str) -> str:
+    """Escape what is no UTF-8, as in file names."""
+    return text.encode(errors="backslashreplace").decode()
+
+
 def check_writable(path: Path, option: str = "") -> None:
     """ConfigError, with the ``option``, where no file can be."""
     name = f"{option} {path}".strip()

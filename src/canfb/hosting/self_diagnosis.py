@@ -32,7 +32,7 @@ from canfb.cia301.datatypes import DataType
 from canfb.configuration import Config
 from canfb.device.node import NodeDevice
 from canfb.errors import reason
-from canfb.files import replacing
+from canfb.files import as_utf8, replacing
 from canfb.hosting.event_log import title_of
 from canfb.hosting.state_files import SWITCH_S, small_stack
 
@@ -123,8 +123,7 @@ class KeptLines(logging.Handler):
 
 def diagnosis_text(made_by: str, parts: Mapping[str, Any]) -> str:
     whole = {"canfb_diagnosis": 1, "made": date_and_time(), "made_by": made_by, **parts}
-    text = json.dumps(plain(whole), indent=1, ensure_ascii=False) + "\n"
-    return text.encode(errors="backslashreplace").decode()  # the name of a file need not be UTF-8
+    return as_utf8(json.dumps(plain(whole), indent=1, ensure_ascii=False) + "\n")
 
 
 log = logging.getLogger(__name__)

@@ -26,7 +26,7 @@ import numpy as np
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CanfbError, ConfigError, reason, saying
-from canfb.files import check_writable, replacing, writing
+from canfb.files import as_utf8, check_writable, replacing, writing
 from canfb.hosting.state_files import SavedParameters
 from canfb.logfile.bus_logs import BusLogFile
 from canfb.logfile.log_files import is_log
@@ -94,12 +94,10 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], types: Mapping[str
     arrow, parquet = _pyarrow()
     kinds = {str: arrow.string(), int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_()}
     schema = arrow.schema([(name, kinds[kind]) for name, kind in types.items()])
-    plain = [{name: _utf8(one) if isinstance(one, str) else one for name, one in row.items()} for row in rows]
+    plain = [
+        {name: as_utf8(one) if isinstance(one, str) else one for name, one in row.items()} for row in rows
+    ]
     parquet.write_table(arrow.Table.from_pylist(plain, schema=schema), str(path))
-
-
-def _utf8(text: str) -> str:  # the name of a file need not be
-    return text.encode(errors="backslashreplace").decode()
 
 
 @contextlib.contextmanager
@@ -333,7 +331,7 @@ def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
     correction = None if used is None else (used.crc32, repr(used.conditioning))
     parts = (version("canfb"), tuple(COLUMNS), status.st_size, status.st_mtime_ns, words, correction, saved)
     digest = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
-    return LogJob(_utf8(str(path.relative_to(folder))), path, status.st_size, digest)
+    return LogJob(as_utf8(str(path.relative_to(folder))), path, status.st_size, digest)
 
 
 def rows_of(job: LogJob, settings: ReplayOptions) -> list[LogRow]:

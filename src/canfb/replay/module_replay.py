@@ -352,12 +352,12 @@ class ModuleReplay:
         return now
 
     def _tick(self, now: float) -> None:
-        """What is due before ``now``, each at its time: as the runner has it, a frame comes first."""
+        """What is due before ``now``, each at its time: a frame comes first."""
         while (due := self.module.deadline()) is not None and due < now:
             self._give_out(self.module.tick(due), due)
 
     def _compute(self, now: float) -> None:
-        """What the module has to compute is there at once; as the runner has it, not with each frame."""
+        """What the module has to compute is there at once, but not with each frame."""
         job = self.module.pending_job() if self._on else None
         if job is None:
             return

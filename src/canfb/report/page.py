@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
+from canfb.files import as_utf8
 from canfb.report.plot import LEFT, Key, Plot
 from canfb.rows import Row, Section
 
@@ -104,7 +105,7 @@ def page(title: str, place: str, said: Sequence[str], body: str, footer: str, go
     said     the verdict, its first line in bold, each as a sentence; ``good``: its tone
     """
     first, *others = map(_sentence, said)
-    whole = (
+    return as_utf8(
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{COLOURS}{DRAWING}{PAGE}</style>\n</head>\n"
@@ -113,7 +114,6 @@ def page(title: str, place: str, said: Sequence[str], body: str, footer: str, go
         f"{''.join(f'<p>{line}</p>' for line in others)}</div>\n"
         f"{body}<footer>{escape(footer)}</footer>\n</body>\n</html>\n"
     )
-    return whole.encode(errors="backslashreplace").decode()  # the name of a file need not be UTF-8
 
 
 def _sentence(line: str) -> str:
