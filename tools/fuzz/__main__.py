@@ -16,7 +16,6 @@ import argparse
 import contextlib
 import hashlib
 import logging
-import random
 import sys
 import tempfile
 import traceback
@@ -63,14 +62,14 @@ def fuzz(target: str, arguments: list[str], *, blind: bool) -> None:
         import atheris
     except ImportError:
         sys.exit("atheris is missing: python -m pip install 'atheris>=3.0'")
-    import numpy as np  # noqa: F401  what is loaded before is not traced
+    import numpy as np  # what is loaded before is not traced
 
     traced = atheris.instrument_imports(include=["canfb", "can", "canopen"], exclude=UNTRACED)
     with contextlib.nullcontext() if blind else traced:
         from tools.fuzz import files
     corpus = BUILD / "fuzz" / target
     corpus.mkdir(parents=True, exist_ok=True)
-    long = (random.Random(n).randbytes(LONGEST[target]) for n in range(SEEDS))
+    long = (np.random.default_rng(n).bytes(LONGEST[target]) for n in range(SEEDS))
     for seed in files.seeds() if target == "files" else long:
         (corpus / hashlib.sha1(seed).hexdigest()).write_bytes(seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -79,6 +78,7 @@ def fuzz(target: str, arguments: list[str], *, blind: bool) -> None:
             one(path.read_bytes())
         limits = [
             "-len_control=0",
+            "-keep_seed=1",  # without tracing none of them would show new code
             f"-rss_limit_mb={MEGABYTES}",
             f"-timeout={SECONDS}",
             f"-max_len={LONGEST[target]}",
