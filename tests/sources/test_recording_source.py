@@ -82,6 +82,7 @@ def test_at_a_gap_the_last_sample_is_left_out_and_samples_are_lost(
 WRONG: dict[str, tuple[str | bytes, str]] = {
     "empty": ("", ":1: the header line with the names of the columns is missing"),
     "no column": ("x,y\n1,2\n", ":1: there is no column 'a'; there are x, y"),
+    "two of a name": ("a,b,a\n1,2,3\n", ":1: there is more than one column 'a'; there are a, b, a"),
     "only the names": ("a,b\n", ": it contains no samples"),
     "a word": ("a,b\n1,2\n1,two\n", ":3: a value in one of the selected columns is not a number"),
     "a short row": ("a,b\n1,2\n1\n", ":3: a value in one of the selected columns is not a number"),

@@ -76,13 +76,16 @@ def _text(path: Path) -> str:
 
 
 def _place(path: Path, header: list[str], name: str) -> int:
-    if name in header:
+    if header.count(name) == 1:
         return header.index(name)
     if name.isdecimal() and int(name) < len(header):
         return int(name)
     if not header:
         raise CanfbError(f"{path}:1: the header line with the names of the columns is missing")
-    raise CanfbError(f"{path}:1: there is no column '{name}'; there are {', '.join(header)[:200]}")
+    raise CanfbError(
+        f"{path}:1: there is {'more than one' if name in header else 'no'} column '{name}'; "
+        f"there are {', '.join(header)[:200]}"
+    )
 
 
 def _numbers(path: Path, line: int, row: list[str], places: Iterable[int]) -> list[float]:
