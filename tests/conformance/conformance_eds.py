@@ -56,9 +56,9 @@ class Eds:
         usage = self.sections["DummyUsage"]
         return {int(name.removeprefix("Dummy"), 16) for name, is_on in usage.items() if is_on == "1"}
 
-    def numbers(self, first: int) -> list[int]:
-        """Numbers of the PDOs (from 1) whose communication parameters begin at `first`."""
-        return [number for number in range(1, 513) if self.has(first + number - 1, 1)]
+    def pdos(self, first: int) -> list[int]:
+        """Where the communication parameters of the PDOs are, which begin at `first`."""
+        return [index for index in range(first, first + 0x200) if self.has(index, 1)]
 
     def mappable(self, *access: str, size: int | None = None) -> list[EdsEntry]:
         """Objects that a PDO may carry, with this access, of `size` bytes."""

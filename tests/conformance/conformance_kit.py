@@ -34,6 +34,8 @@ NO_READ, NO_WRITE = ("06010000", "06010001", G), ("06010000", "06010002", G)
 NO_SUB, NO_INDEX = ("06090011", G), ("06020000", G)
 COMMAND = ("05040001", G)
 SAVE, LOAD, WRONG = "73 61 76 65", "6C 6F 61 64", "6E 6F 72 77"
+STATES = {"01": "05", "02": "04", "80": "7F"}
+"""NMT states by the command that leads there."""
 
 
 class Heard(NamedTuple):
@@ -253,30 +255,22 @@ class Tester:
 
     @property
     def rpdos(self) -> list[int]:
-        return self.eds.numbers(0x1400)
+        """Indices of their communication parameters; so are those of TPDOs."""
+        return self.eds.pdos(0x1400)
 
     @property
     def tpdos(self) -> list[int]:
-        return self.eds.numbers(0x1800)
+        return self.eds.pdos(0x1800)
 
     @property
     def valid_tpdos(self) -> list[int]:
         """TPDOs that are valid and mapped by default."""
-        return [
-            number
-            for number in self.tpdos
-            if not self.read(0x1800 + number - 1, 1) >> 31 and self.read(0x1A00 + number - 1)
-        ]
-
-    def cob_id(self, number: int) -> int:
-        """CAN-ID of a TPDO."""
-        return self.read(0x1800 + number - 1, 1) & 0x7FF
+        return [tpdo for tpdo in self.tpdos if not self.read(tpdo, 1) >> 31 and self.read(tpdo + 0x200)]
 
     def set_up_tpdo(
-        self, number: int, kind: str, *, timer_ms: int = 0, start: int = 0, remote: bool | None = None
+        self, index: int, kind: str, *, timer_ms: int = 0, start: int = 0, remote: bool | None = None
     ) -> int:
         """Transmission type of a TPDO as the list sets it: off, type, timer, SYNC start, on. Its CAN-ID."""
-        index = 0x1800 + number - 1
         cob_id = self.read(index, 1) & 0x7FFFFFFF
         if remote is not None:
             cob_id = cob_id & ~0x40000000 | (0 if remote else 0x40000000)
@@ -288,6 +282,14 @@ class Tester:
             self.write(index, 6, start, 1)
         self.write(index, 1, cob_id, 4)
         return cob_id & 0x7FF
+
+    def second_server(self) -> None:
+        """A second SDO channel: requests with 6C0h, answers with 540h."""
+        self.accept("23 01 12 01 C0 06")
+        self.accept("23 01 12 02 40 05")
+
+    def ask_second(self, request: str) -> list[str]:
+        return only(self.send(0x6C0, filled(request)), 0x540)
 
     def cause_event(self) -> list[Heard]:
         """What makes the device want to send: a sample. The interface takes one at a SYNC by itself."""

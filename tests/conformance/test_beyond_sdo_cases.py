@@ -172,12 +172,8 @@ def test_beyond_08_a_silent_client(tester: Tester, start: str) -> None:
 
 
 def test_beyond_09_two_servers_at_the_same_time(module: Tester) -> None:
-    module.accept("23 01 12 01 C0 06")
-    module.accept("23 01 12 02 40 05")
-
-    def second(request: str) -> list[str]:
-        return only(module.send(0x6C0, filled(request)), 0x540)
-
+    module.second_server()
+    second = module.ask_second
     # a segmented upload on the first, a block download and then a segmented upload on the second
     assert module.ask(f"40 {NAME}")[:2] == "41"
     assert second(f"C6 {HEARTBEAT} 02")[0][:11] == f"A4 {HEARTBEAT}"
@@ -201,9 +197,8 @@ def test_beyond_09_two_servers_at_the_same_time(module: Tester) -> None:
 
 
 def test_beyond_09_a_time_out_of_one_leaves_the_other_alone(module: Tester) -> None:
-    module.accept("23 01 12 01 C0 06")
-    module.accept("23 01 12 02 40 05")
-    module.send(0x6C0, filled(f"40 {NAME}"))
+    module.second_server()
+    module.ask_second(f"40 {NAME}")
     module.ask(f"40 {NAME}")
     toggle, heard = 0, []
     for _ in range(3):

@@ -36,7 +36,7 @@ def test_sync_02_and_06_producer_without_counter(tester: Tester, state: str) -> 
 
 
 def test_sync_03_every_tenth_sync(tester: Tester) -> None:
-    can_ids = [tester.set_up_tpdo(number, "0A") for number in tester.valid_tpdos]
+    can_ids = [tester.set_up_tpdo(tpdo, "0A") for tpdo in tester.valid_tpdos]
     assert can_ids
     tester.operational()
     heard = tester.repeat(100, 0.1, lambda: tester.send(SYNC))

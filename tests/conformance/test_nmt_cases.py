@@ -5,9 +5,7 @@ from __future__ import annotations
 from random import Random
 
 import pytest
-from conformance_kit import SYNC, Tester, filled, m, only
-
-STATES = {"01": "05", "02": "04", "80": "7F"}
+from conformance_kit import STATES, SYNC, Tester, filled, m, only
 
 
 def answers_sdo(tester: Tester) -> bool:
@@ -37,7 +35,7 @@ def set_up_services(tester: Tester) -> list[int]:
     tester.accept("2B 17 10 00 F4 01")
     tester.accept("23 06 10 00 70 17")
     tester.accept("23 05 10 00 80 00 00 40")
-    return [tester.set_up_tpdo(number, "FE", timer_ms=1000) for number in tester.valid_tpdos]
+    return [tester.set_up_tpdo(tpdo, "FE", timer_ms=1000) for tpdo in tester.valid_tpdos]
 
 
 def guarding_works(tester: Tester, state: str) -> None:
@@ -49,11 +47,11 @@ def guarding_works(tester: Tester, state: str) -> None:
 
 def test_state_02_pre_operational(tester: Tester) -> None:
     asked: list[int] = []
-    for number in tester.valid_tpdos:  # type FDh where it may be asked for
-        if tester.read(0x1800 + number - 1, 1) >> 30 & 1:
-            tester.refuse(f"2F {m(0x1800 + number - 1, 2)} FD", "06090030")
+    for tpdo in tester.valid_tpdos:  # type FDh where it may be asked for
+        if tester.read(tpdo, 1) >> 30 & 1:
+            tester.refuse(f"2F {m(tpdo, 2)} FD", "06090030")
         else:
-            asked.append(tester.set_up_tpdo(number, "FD"))
+            asked.append(tester.set_up_tpdo(tpdo, "FD"))
     for can_id in asked:
         assert tester.remote(can_id) == []
     can_ids = set_up_services(tester)

@@ -12,23 +12,24 @@ from conformance_kit import SYNC, Heard, Tester, hexes, m, only
 STOPPED, PRE_OPERATIONAL = "02", "80"
 
 
-def test_pdo_01_cob_ids_of_the_rpdos(tester: Tester) -> None:
-    for number in tester.rpdos:
-        entry = tester.eds[0x1400 + number - 1, 1]
+def have_their_cob_ids(tester: Tester, pdos: list[int]) -> None:
+    for index in pdos:
+        entry = tester.eds[index, 1]
         assert tester.ask(f"40 {entry.m}") == f"43 {entry.m} {hexes(entry.default)}"
+
+
+def test_pdo_01_cob_ids_of_the_rpdos(tester: Tester) -> None:
+    have_their_cob_ids(tester, tester.rpdos)
 
 
 def test_pdo_02_cob_ids_of_the_tpdos(tester: Tester) -> None:
-    for number in tester.tpdos:
-        entry = tester.eds[0x1800 + number - 1, 1]
-        assert tester.ask(f"40 {entry.m}") == f"43 {entry.m} {hexes(entry.default)}"
+    have_their_cob_ids(tester, tester.tpdos)
 
 
 def set_up(tester: Tester, kind: str, state: str, **options: Any) -> list[int]:
     """Every TPDO valid by default with this type and these options; then the NMT state. The CAN-IDs."""
-    numbers = tester.valid_tpdos
-    assert numbers
-    can_ids = [tester.set_up_tpdo(number, kind, **options) for number in numbers]
+    can_ids = [tester.set_up_tpdo(index, kind, **options) for index in tester.valid_tpdos]
+    assert can_ids
     tester.nmt(state)
     return can_ids
 
@@ -40,25 +41,27 @@ def set_up_counted(tester: Tester, kind: str, start: int, state: str) -> list[in
     return set_up(tester, kind, state, start=start)
 
 
-def length_of(tester: Tester, number: int) -> int:
-    """Bytes of a TPDO, from its mapping."""
-    mapping = 0x1A00 + number - 1
-    return sum(tester.read(mapping, n) & 0xFF for n in range(1, tester.read(mapping) + 1)) // 8
+def lengths_of(tester: Tester) -> dict[int, int]:
+    """Bytes of each TPDO that is valid, from its mapping, by its CAN-ID."""
+    lengths = {}
+    for index in tester.valid_tpdos:
+        objects = range(1, tester.read(index + 0x200) + 1)
+        bits = sum(tester.read(index + 0x200, n) & 0xFF for n in objects)
+        lengths[tester.read(index, 1) & 0x7FF] = bits // 8
+    return lengths
 
 
 @pytest.mark.parametrize("kind", ["default type", "FD"])
 def test_pdo_03_remote_frame(tester: Tester, kind: str) -> None:
-    numbers = tester.valid_tpdos
-    assert numbers
-    lengths = {number: length_of(tester, number) for number in numbers}
-    for number in numbers:  # some forbid it by default (bit 30)
-        default = f"{tester.read(0x1800 + number - 1, 2):02X}"
-        tester.set_up_tpdo(number, "FD" if kind == "FD" else default, remote=True)
-    can_ids = {number: tester.cob_id(number) for number in numbers}
+    lengths = lengths_of(tester)
+    assert lengths
+    for index in tester.valid_tpdos:  # some forbid it by default (bit 30)
+        default = f"{tester.read(index, 2):02X}"
+        tester.set_up_tpdo(index, "FD" if kind == "FD" else default, remote=True)
     tester.operational()
-    for number in numbers:
-        (data,) = only(tester.remote(can_ids[number]), can_ids[number])
-        assert len(bytes.fromhex(data)) == lengths[number]
+    for can_id, length in lengths.items():
+        (data,) = only(tester.remote(can_id), can_id)
+        assert len(bytes.fromhex(data)) == length
 
 
 def test_pdo_04_and_05_event_timer(tester: Tester) -> None:
@@ -108,11 +111,8 @@ def no_pdo(tester: Tester, can_ids: list[int], frames: list[Heard]) -> None:
 
 
 def check_no_remote(tester: Tester, state: str) -> None:
-    numbers = tester.valid_tpdos
-    assert numbers
     for kind in ("FD", "01"):
-        can_ids = [tester.set_up_tpdo(number, kind, remote=True) for number in numbers]
-        tester.nmt(state)
+        can_ids = set_up(tester, kind, state, remote=True)
         for can_id in can_ids:
             assert tester.remote(can_id) == []
         no_pdo(tester, can_ids, tester.wait(0.5))
@@ -150,7 +150,7 @@ def test_pdo_09_to_20_no_pdo_in_these_states(
 
 
 def test_a_tpdo_has_the_length_of_its_mapping(tester: Tester) -> None:
-    lengths = {tester.cob_id(number): length_of(tester, number) for number in tester.valid_tpdos}
+    lengths = lengths_of(tester)
     set_up(tester, "01", "01")
     heard = tester.send(SYNC)
     for can_id, length in lengths.items():

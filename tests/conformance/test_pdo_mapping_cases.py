@@ -20,15 +20,9 @@ class Pdo(NamedTuple):
     mapping: int
     access: tuple[str, ...]
 
-    @property
-    def receives(self) -> bool:
-        return self.communication < 0x1800
-
 
 def pdos(tester: Tester) -> list[Pdo]:
-    receive = [Pdo(0x1400 + n - 1, 0x1600 + n - 1, ("rww", "rw", "wo")) for n in tester.rpdos]
-    transmit = [Pdo(0x1800 + n - 1, 0x1A00 + n - 1, ("ro", "rwr", "rw", "const")) for n in tester.tpdos]
-    return receive + transmit
+    return rpdos(tester) + tpdos(tester)
 
 
 def valid_pdos(tester: Tester) -> list[Pdo]:
@@ -36,11 +30,11 @@ def valid_pdos(tester: Tester) -> list[Pdo]:
 
 
 def rpdos(tester: Tester) -> list[Pdo]:
-    return [pdo for pdo in pdos(tester) if pdo.receives]
+    return [Pdo(index, index + 0x200, ("rww", "rw", "wo")) for index in tester.rpdos]
 
 
 def tpdos(tester: Tester) -> list[Pdo]:
-    return [pdo for pdo in pdos(tester) if not pdo.receives]
+    return [Pdo(index, index + 0x200, ("ro", "rwr", "rw", "const")) for index in tester.tpdos]
 
 
 def switch_off(tester: Tester, pdo: Pdo) -> int:
@@ -85,13 +79,11 @@ def test_pdo_22_changing_the_mapping(tester: Tester) -> None:
     for pdo in pdos(tester):
         entry = one(tester.eds.mappable(*pdo.access))
         number = max(1, tester.read(pdo.mapping))
-        cob_id = tester.read(pdo.communication, 1) & ~INVALID
         values = [entry.mapping] + [tester.read(pdo.mapping, sub) for sub in range(2, number + 1)]
-        tester.accept(f"23 {m(pdo.communication, 1)} {little(cob_id | INVALID, 4)}")
-        tester.accept(f"2F {m(pdo.mapping)} 00")
+        cob_id = empty(tester, pdo)
         tester.accept(mapping(pdo, entry.mapping))
         tester.accept(f"2F {m(pdo.mapping)} {number:02X}")
-        tester.accept(f"23 {m(pdo.communication, 1)} {little(cob_id, 4)}")
+        tester.write(pdo.communication, 1, cob_id, 4)
         assert [tester.read(pdo.mapping, sub) for sub in range(1, number + 1)] == values
 
 

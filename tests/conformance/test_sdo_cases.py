@@ -73,10 +73,9 @@ def test_sdo_29_a_further_server_is_back_at_its_default(tester: Tester) -> None:
         tester.refuse("40 01 12 01", *NO_INDEX)
         return
     before = [tester.ask("40 01 12 01"), tester.ask("40 01 12 02")]
-    tester.accept("23 01 12 01 C0 06")
-    tester.accept("23 01 12 02 40 05")
-    (heard,) = tester.send(0x6C0, filled("40 00 10 00"))
-    assert (heard.can_id, heard.data[:11]) == (0x540, "43 00 10 00")
+    tester.second_server()
+    (answer,) = tester.ask_second("40 00 10 00")
+    assert answer[:11] == "43 00 10 00"
     tester.nmt("82")
     assert [tester.ask("40 01 12 01"), tester.ask("40 01 12 02")] == before
     assert tester.send(0x6C0, filled("40 00 10 00")) == []
