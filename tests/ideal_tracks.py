@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import numpy as np
 
+from canfb.cia301.frame import Frame
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Feedback
 from canfb.signal.stages import Stages
@@ -15,6 +17,12 @@ def counts_at(cycles: float, amplitude: float = 1500.0) -> tuple[int, int]:
     """Sine and cosine at this position, counts."""
     angle = 2.0 * math.pi * cycles
     return round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle))
+
+
+def adc_pdo(cycles: float, amplitude: float = 1500.0, time_s: float | None = None) -> Frame:
+    """What the encoder interface 10h sends of this position; behind it its sample time, if there is one."""
+    time = b"" if time_s is None else struct.pack("<I", round(time_s * 1e7) % 2**32)
+    return Frame(0x190, struct.pack("<hh", *counts_at(cycles, amplitude)) + time)
 
 
 def wavy_table(entries: int = 64, amplitude: float = 0.01) -> CorrectionTable:

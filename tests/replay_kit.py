@@ -18,7 +18,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.module_replay import ModuleReplay
 from fake_bus import FakeBus, FakeClock, message
-from ideal_tracks import counts_at
+from ideal_tracks import adc_pdo
 
 EPOCH_S = 1e6  # as a monotonic clock: near 1.7e9 a float is exact to 0.24 us only, and periods differ by it
 NODE_ID, INTERFACE_ID = 0x20, 0x10
@@ -108,16 +108,12 @@ def sdo_write(index: int, subindex: int, data: bytes) -> Frame:
     return Frame(0x600 + NODE_ID, struct.pack("<BHB4s", command, index, subindex, data))
 
 
-def adc(cycles: float, amplitude: float = 1500.0) -> Frame:
-    return Frame(ADC_ID, struct.pack("<hh", *counts_at(cycles, amplitude)))
-
-
 def motion(samples: int, begin_s: float = 0.1, speed: float = 0.07, jitter_s: float = 0.0) -> list[Planned]:
     """SYNC and sample, ``speed`` in cycles per period."""
     plan: list[Planned] = []
     for n in range(samples):
         at = begin_s + n * PERIOD_S + jitter_s * math.sin(7.0 * n)
-        plan += [(at, Frame(SYNC_ID, b"")), (at + 2e-4, adc(speed * n))]
+        plan += [(at, Frame(SYNC_ID, b"")), (at + 2e-4, adc_pdo(speed * n))]
     return plan
 
 

@@ -39,7 +39,8 @@ from canfb.signal.correction import Correction
 from commands import Command, yaml_file
 from commissioning_kit import TABLE
 from html_page import Page
-from replay_kit import NODE_ID, Planned, adc, config, contents, live, sdo_write, session, write_log
+from ideal_tracks import adc_pdo
+from replay_kit import NODE_ID, Planned, config, contents, live, sdo_write, session, write_log
 
 SAMPLES = 300
 
@@ -48,7 +49,7 @@ SAMPLES = 300
 def log(tmp_path: Path) -> Path:
     """A session with a bad sample and a missed one."""
     plan = session(SAMPLES)
-    plan[400] = (plan[400][0], adc(0.1, 3000.0))
+    plan[400] = (plan[400][0], adc_pdo(0.1, 3000.0))
     del plan[302]  # the sample, its SYNC is there
     return write_log(tmp_path / "bus.log", live(plan)[0])
 
@@ -68,7 +69,7 @@ def test_json(log: Path, command: Command) -> None:
 
 def test_a_sample_without_any_amplitude_has_no_margin(tmp_path: Path, command: Command) -> None:
     plan = session(SAMPLES)
-    plan[400] = (plan[400][0], adc(0.1, 0.0))
+    plan[400] = (plan[400][0], adc_pdo(0.1, 0.0))
     log = write_log(tmp_path / "bus.log", live(plan)[0])
     (line,) = (one for one in command("log replay", log).lines if one.startswith("lowest amplitude"))
     assert re.fullmatch(r"lowest amplitude +0 of 410 counts at \d\.\d{3} s", line)
@@ -122,7 +123,7 @@ def test_saved_parameters_are_read_and_stay(tmp_path: Path, command: Command) ->
         files.save(dict(store.images))
     before = {path.name: path.read_bytes() for path in state.iterdir()}
     plan = session(SAMPLES)
-    plan[400] = (plan[400][0], adc(0.1, 3000.0))
+    plan[400] = (plan[400][0], adc_pdo(0.1, 3000.0))
     frames, sent = live(plan, store)
     log = write_log(tmp_path / "bus.log", frames)
     sent_again = tmp_path / "sent.log"
@@ -286,7 +287,7 @@ def faulty(samples: int, bad: int) -> list[Planned]:
     plan = session(samples)
     for n in range(bad):
         place = 40 + 40 * n  # a sample
-        plan[place] = (plan[place][0], adc(0.1, 3000.0))
+        plan[place] = (plan[place][0], adc_pdo(0.1, 3000.0))
     return plan
 
 

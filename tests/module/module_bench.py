@@ -14,7 +14,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.sources.protocol import Source
-from ideal_tracks import counts_at
+from ideal_tracks import adc_pdo
 
 SYNC = Frame(0x80, b"")
 
@@ -85,10 +85,17 @@ class Bench:
     def counts(self, sine: int, cosine: int) -> list[Frame]:
         return self.sent(Frame(0x190, struct.pack("<hh", sine, cosine)))
 
-    def at(self, position_cycles: float, amplitude: float = 1500.0) -> tuple[int, int, int]:
-        """One SYNC and one sample at this position: the position PDO's fields."""
-        self.sync()
-        return self.position(self.counts(*counts_at(position_cycles, amplitude)))
+    def at(self, cycles: float, amplitude: float = 1500.0, samples: int = 1) -> tuple[int, int, int]:
+        """So many SYNCs, each with a sample at this position: the fields of the last position PDO."""
+        for _ in range(samples):
+            self.sync()
+            sent = self.sent(adc_pdo(cycles, amplitude))
+        return self.position(sent)
+
+    def follow(self, speed: float, first: int, after: int, amplitude: float = 1500.0) -> None:
+        """Samples of these numbers of a machine that turns, cycles per sample."""
+        for n in range(first, after):
+            self.at(speed * n, amplitude)
 
     @staticmethod
     def position(frames: list[Frame]) -> tuple[int, int, int]:

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 from module_bench import Bench
 
-from canfb.cia301.frame import Frame
 from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from folding import each
-from ideal_tracks import counts_at
+from ideal_tracks import adc_pdo
 from servo_kit import IDEAL_TABLE
 
 INTERVAL_S, ADC_S = 1e-3, 2e-4
@@ -38,11 +37,9 @@ class Machine(Bench):
         """One SYNC and its sample: error of 6004h against the position at the SYNC, cycles; status."""
         sent = self.sync()
         self.now = now = self.bus.now
-        data = struct.pack("<hh", *counts_at(self.place_at(now - self.lag_s), 23000.0))
-        if self.module.config.times:
-            data += struct.pack("<I", round(now * 1e7))
+        pdo = adc_pdo(self.place_at(now - self.lag_s), 23000.0, now if self.module.config.times else None)
         self.bus.run_until(now + ADC_S)
-        units, status, _ = self.position(sent + self.sent(Frame(0x190, data)))
+        units, status, _ = self.position(sent + self.sent(pdo))
         away = units / UNITS - self.place_at(now)
         turns = 2500 * 209
         return (away + turns / 2) % turns - turns / 2, status

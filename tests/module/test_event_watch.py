@@ -15,7 +15,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.module.events import Event, EventKind
 from canfb.objects import LossCause, StatusBit
 from canfb.signal.speeds import STILL_SAMPLES
-from ideal_tracks import counts_at, wavy_table
+from ideal_tracks import adc_pdo, wavy_table
 
 PERIOD_S, ADC_S = 1e-3, 2e-4
 
@@ -38,11 +38,8 @@ class Machine(Bench):
             self.sent(SYNC)
             self.silence(ADC_S)
             if sample:
-                pair = counts_at(self.cycles_s * now + jump, amplitude)
-                data = struct.pack("<hh", *(max(-2048, min(one, 2047)) for one in pair))
-                if self.module.config.times:
-                    data += struct.pack("<I", round((now + self.off_s) * 1e7))
-                self.sent(Frame(0x190, data))
+                time_s = now + self.off_s if self.module.config.times else None
+                self.sent(adc_pdo(self.cycles_s * now + jump, amplitude, time_s))
 
     def silence(self, seconds: float) -> None:
         self.bus.run_until(self.bus.now + seconds)
@@ -118,7 +115,7 @@ def test_a_lost_position_names_every_cause_and_how_long_it_took() -> None:
 def late(machine: Machine) -> None:
     machine.bus.now += 2.5 * PERIOD_S - ADC_S  # without a receive time one is missed, or was heard late
     machine.sent(SYNC)
-    machine.counts(*counts_at(machine.cycles_s * machine.bus.now))
+    machine.sent(adc_pdo(machine.cycles_s * machine.bus.now))
 
 
 def off_time(machine: Machine) -> None:
@@ -199,8 +196,7 @@ def loss(bench: Bench) -> list[int]:
 
 
 def test_an_interface_that_falls_silent_loses_the_position_once_and_is_named(bench: Bench) -> None:
-    for n in range(20):
-        bench.at(0.125 * n)
+    bench.follow(0.125, 0, 20)
     assert loss(bench) == [0] * 6, "nothing is lost at first"
     assert bench.sdo[0x2012][0x11].raw == 0
     bench.sync()
@@ -234,8 +230,7 @@ def test_an_interface_that_falls_silent_loses_the_position_once_and_is_named(ben
 
 def test_a_loss_survives_the_restart_that_ends_it(bench: Bench) -> None:
     """So that it can be asked for when the machine runs again."""
-    for _ in range(20):
-        bench.at(0.3)
+    bench.at(0.3, samples=20)
     for _ in range(6):
         bench.sync()
     bench.at(0.3)
@@ -246,21 +241,17 @@ def test_a_loss_survives_the_restart_that_ends_it(bench: Bench) -> None:
 
 
 def test_what_was_wrong_is_kept_but_not_what_was_wrong_before_the_last_valid_position(bench: Bench) -> None:
-    for n in range(20):
-        bench.at(0.125 * n)
+    bench.follow(0.125, 0, 20)
     bench.sync()
     bench.sync()  # one is missed
-    for n in range(22, 50):
-        bench.at(0.125 * n)
-    for n in range(50, 60):
-        bench.at(0.125 * n, amplitude=100.0)
+    bench.follow(0.125, 22, 50)
+    bench.follow(0.125, 50, 60, amplitude=100.0)
     cause, bad, *_, faults = loss(bench)
     assert (cause, bad, faults) == (LossCause.COASTED, 4, StatusBit.AMPLITUDE)
 
 
 def test_a_machine_that_turns_in_a_pause_is_named(bench: Bench) -> None:
-    for n in range(50):
-        bench.at(0.3 * n)
+    bench.follow(0.3, 0, 50)
     bench.remote.nmt.state = "PRE-OPERATIONAL"
     bench.bus.run_until(bench.bus.now + 1.0)
     bench.start()
@@ -271,7 +262,6 @@ def test_a_machine_that_turns_in_a_pause_is_named(bench: Bench) -> None:
 def test_two_samples_for_one_sync_leave_the_time_in_doubt(bench: Bench) -> None:
     """Other counts in the same interval: a SYNC may have been missed, or not."""
     bench.stamped = True
-    for k in range(1, 200):
-        bench.at(0.3 * k)
-    bench.counts(*counts_at(0.3 * 200))
+    bench.follow(0.3, 1, 200)
+    bench.sent(adc_pdo(0.3 * 200))
     assert loss(bench)[0] == LossCause.TIME

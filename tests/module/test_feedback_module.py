@@ -99,8 +99,7 @@ def test_they_can_be_mapped_into_a_pdo(bench: Bench) -> None:
     mapping[0].raw = 3
     parameters[1].raw = 0x3A0
     assert [bench.sdo[0x2011][sub].raw for sub in (5, 7, 8)] == [0, 0.0, 0], "before the first sample"
-    for n in range(12):
-        bench.at(n * 0.25, amplitude=440)
+    bench.follow(0.25, 0, 12, amplitude=440)
     (data,) = [frame.data for frame in bench.sync() if frame.can_id == 0x3A0]
     amplitude, velocity, warnings = struct.unpack("<HfH", data)
     assert (amplitude, warnings) == (440, 2)
@@ -110,18 +109,15 @@ def test_they_can_be_mapped_into_a_pdo(bench: Bench) -> None:
 def test_a_velocity_beyond_real32_is_the_largest_one(bench: Bench) -> None:
     bench.interval_s = 1e-300
     bench.bus.now = 0.0
-    for n in range(4):
-        bench.at(n * 0.25)
+    bench.follow(0.25, 0, 4)
     assert bench.sdo[0x2011][7].raw == pytest.approx(3.4e38, rel=1e-3)
 
 
 def test_a_residual_limit_that_follows_the_acceleration_follows_the_encoder_too(bench: Bench) -> None:
     bench.sdo[0x2010][2].raw = 100.0  # 0.04 cycle at 2500 cycles and 1 kHz, 16 cycles at a million
-    for _ in range(10):  # until the period is known
-        bench.at(0.0)
+    bench.at(0.0, samples=10)  # until the period is known
     assert bench.at(0.2)[1] & StatusBit.RESIDUAL
-    for _ in range(6):
-        bench.at(0.0)
+    bench.at(0.0, samples=6)
     bench.sdo[0x2001][1].raw = 1_000_000
     assert bench.at(0.2)[1] == StatusBit.VALID
 

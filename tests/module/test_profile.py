@@ -296,8 +296,7 @@ def test_the_defaults_are_per_minute_and_revolutions_per_square_second() -> None
     bench = Bench(cycles_per_revolution=100)
     bench.start()
     bench.sdo[0x1006].raw = 1100  # the measured interval takes precedence
-    for n in range(40):
-        bench.at(n * 0.25)
+    bench.follow(0.25, 0, 40)
     assert bench.sdo[0x6030][1].raw == pytest.approx(0.25 * 10 * 60, abs=1)  # 2.5 revolutions per second
     bench.sdo[0x6000].raw = 1
     assert bench.sdo[0x6030][1].raw == pytest.approx(-150, abs=1)

@@ -17,7 +17,7 @@ from canfb.eds_files import eds_path
 from canfb.module.cia406.alarms import CODES
 from canfb.module.cia406.profile import ALARM_PARAMETERS, ALARM_POSITION
 from documentation import blocks, page
-from ideal_tracks import counts_at
+from ideal_tracks import adc_pdo
 
 FREQUENCY, AMPLITUDE, REFERENCE = 0xFF10, 0xFF11, 0xFF15
 LOW, GOOD, BAD = 430.0, 1500.0, 10.0  # amplitudes; 400 is the lowest accepted one
@@ -29,34 +29,29 @@ def told(bench: Bench) -> list[tuple[int, int]]:
 
 
 def test_low_amplitude_is_told_once_and_over_after_the_hold_time(bench: Bench) -> None:
-    for _ in range(50):
-        bench.at(0.0, LOW)
+    bench.at(0.0, LOW, samples=50)
     assert (bench.sdo[0x6505].raw, bench.sdo[0x6503].raw) == (2, 0)
     assert told(bench) == [(AMPLITUDE, 0x21)]
     assert bench.sdo[0x1001].raw == 0x21
     assert bench.sdo[0x1003][1].raw == 2 << 16 | AMPLITUDE
-    for _ in range(999):
-        bench.at(0.0, GOOD)
+    bench.at(0.0, GOOD, samples=999)
     assert bench.sdo[0x6505].raw == 0
     assert told(bench) == [(AMPLITUDE, 0x21)]
     bench.at(0.0, LOW)  # once more, before it was over
-    for _ in range(1002):
-        bench.at(0.0, GOOD)
+    bench.at(0.0, GOOD, samples=1002)
     assert told(bench) == [(AMPLITUDE, 0x21), (0, 0)]
     assert bench.sdo[0x1001].raw == 0
 
 
 def test_no_warning_without_a_valid_position(bench: Bench) -> None:
     for amplitude, samples, warning in ((LOW, 3, 2), (BAD, 2, 0), (LOW, 8, 2)):
-        for _ in range(samples):
-            bench.at(0.0, amplitude)
+        bench.at(0.0, amplitude, samples)
         assert bench.sdo[0x6505].raw == warning
     assert told(bench) == [(AMPLITUDE, 0x21), (0x7300, 0x21), (0, 0x21)]
 
 
 def test_a_limit_that_a_known_acceleration_narrows(bench: Bench) -> None:
-    for _ in range(10):
-        bench.at(0.0)
+    bench.at(0.0, samples=10)
     bench.sdo[0x2010][2].raw = 100.0
     limit = bench.module.limits.residual_limit
     assert limit < 0.1
@@ -68,7 +63,7 @@ def test_a_limit_that_a_known_acceleration_narrows(bench: Bench) -> None:
 
 def flagged(bench: Bench, flags: int, position: float = 0.0) -> None:
     bench.sync()
-    bench.counts(*counts_at(position))
+    bench.sent(adc_pdo(position))
     bench.sent(Frame(0x290, bytes([flags])))
 
 
@@ -94,8 +89,7 @@ def test_no_zero_pulse_yet(bench: Bench) -> None:
 @pytest.mark.parametrize("mask", [0, 1, 0x20])
 def test_only_chosen_warnings_are_told(bench: Bench, mask: int) -> None:
     bench.sdo[0x2004][1].raw = mask
-    for _ in range(3):
-        bench.at(0.0, LOW)
+    bench.at(0.0, LOW, samples=3)
     assert bench.sdo[0x6505].raw == 2
     assert told(bench) == []
     bench.sdo[0x2004][1].raw = mask | 2
@@ -138,8 +132,7 @@ def test_what_is_not_there(bench: Bench, index: int) -> None:
 def test_the_examples_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     bench = Bench(MemoryStore())
     bench.start()
-    for _ in range(3):
-        bench.at(0.25)
+    bench.at(0.25, samples=3)
     monkeypatch.setattr(bench.network, "connect", lambda **words: None, raising=False)
     monkeypatch.setattr(canopen, "Network", lambda: bench.network)
     names: dict[str, Any] = {}
@@ -174,8 +167,7 @@ def test_a_stall_before_the_first_sample_counts_for_nothing(bench: Bench) -> Non
 
 
 def test_a_preset_in_pre_operational(bench: Bench) -> None:
-    for _ in range(3):
-        bench.at(0.25)
+    bench.at(0.25, samples=3)
     bench.remote.nmt.state = "PRE-OPERATIONAL"
     bench.sdo[0x6003].raw = 77
     assert bench.sdo[0x6004].raw == 77

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,13 +42,8 @@ class Bus:
         values = {"node_id": 32, "times": True, "autostart": True, **config}
         self.module = FeedbackModule(ModuleConfig(**values))  # type: ignore[arg-type]
         self.source = MotionSource(ShaftEncoder(Encoder(noise_lsb=0.5), N, seed), Servo(), PERIOD_S)
-        self.interface = EncoderInterface(
-            16,
-            self.source,
-            autostart=True,
-            times=bool(values["times"]),
-            samples_per_sync=int(values["samples_per_sync"]),
-        )
+        words: Any = {name: values[name] for name in ("autostart", "times", "samples_per_sync")}
+        self.interface = EncoderInterface(16, self.source, **words)
         self._rng, self._jitter_s, self._syncs = np.random.default_rng(seed), jitter_s, 0.0
         self.deliver: Callable[[Frame], bool] = lambda frame: True
         self.interface.start(0.0)
@@ -134,12 +130,8 @@ def test_the_mapping_says_how_many_samples_there_are() -> None:
     assert [entry(od.RPDO_MAPPING, sub).value for sub in range(5)] == [
         4, 0x20000110, 0x20000210, 0x20000810, 0x20000910,
     ]  # fmt: skip
-    assert [entry(od.RPDO_MAPPING + 1, sub).value for sub in range(4)] == [
-        3,
-        0x20000A10,
-        0x20000B10,
-        0x20000520,
-    ]
+    more = [entry(od.RPDO_MAPPING + 1, sub).value for sub in range(4)]
+    assert more == [3, 0x20000A10, 0x20000B10, 0x20000520]
     assert [entry(od.RPDO + number, 1).value for number in range(2)] == [0x190, 0x290]
     assert Bus(samples_per_sync=8, times=False).read((od.RPDO + 3, 1)) == 0x490
     assert module.limits.samples_per_sync == 3

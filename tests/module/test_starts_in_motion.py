@@ -11,6 +11,7 @@ import pytest
 
 from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.signal.supervision import VALID
+from ideal_tracks import adc_pdo
 
 N, PERIOD_S, JITTER_S, STARTS = 2500, 1e-3, 80e-6, 12
 RAD_S2 = 2.0 * math.pi / N / PERIOD_S**2  # of one cycle per period^2
@@ -116,10 +117,8 @@ def test_a_start_that_is_about_to_be_confirmed_is_no_emergency(speed: float) -> 
     emergencies, statuses = [], []
     for number in range(40):
         at_s = 1.0 + number * PERIOD_S + float(rng.uniform(-JITTER_S, JITTER_S))
-        turned = 2.0 * math.pi * (0.3 + speed * at_s / PERIOD_S)
-        counts = (round(1500.0 * turn(turned)) for turn in (math.sin, math.cos))
-        data = struct.pack("<hhI", *counts, round(at_s * 1e7))
-        sent = module.receive(Frame(0x080, b""), at_s) + module.receive(Frame(0x190, data), at_s + 1e-4)
+        pdo = adc_pdo(0.3 + speed * at_s / PERIOD_S, time_s=at_s)
+        sent = module.receive(Frame(0x080, b""), at_s) + module.receive(pdo, at_s + 1e-4)
         emergencies += [frame.data[:2] for frame in sent if frame.can_id == 0xA0]
         assert module.feedback is not None
         statuses.append(module.feedback.status)

@@ -16,7 +16,7 @@ from module_bench import SYNC, Bench
 import canfb
 from canfb.cia301.frame import Frame
 from canfb.signal.supervision import EXTRAPOLATED, LOST, VALID
-from ideal_tracks import counts_at
+from ideal_tracks import adc_pdo
 
 NODE, INTERFACE = 0x20, 0x10
 UNITS = 8192  # of a cycle: 6501h
@@ -57,7 +57,7 @@ class Machine(Bench):
         overflow: int = 0,
     ) -> None:
         super().__init__(times=times)
-        self.sample_bytes, self.overflow = 8 if times else 4, overflow
+        self.times, self.overflow = times, overflow
         self.sdo[0x1019].raw = overflow
         for (index, subindex), value in (entries or {}).items():
             self.sdo[index][subindex].raw = value
@@ -84,17 +84,21 @@ class Machine(Bench):
             self.positions.append(Position(now / PERIOD_S, status, cycles, truth, units / UNITS))
 
     def sync_at(self, k: float, at: float | None = None) -> None:
-        counter = bytes([int(k - 1) % self.overflow + 1]) if self.overflow else b""
-        self.give(Frame(0x80, counter), float(k) if at is None else at)
+        self.give(self.sync_pdo(k), float(k) if at is None else at)
+
+    def sync_pdo(self, k: float) -> Frame:
+        return Frame(0x80, bytes([int(k - 1) % self.overflow + 1]) if self.overflow else b"")
 
     def sample(self, k: float, at: float | None = None, off: float = 0.0, time: float | None = None) -> None:
         """The ADC PDO with the sample of SYNC k, usually a quarter of a period after it."""
-        ticks = round((k if time is None else time) * PERIOD_S * 1e7)
-        data = struct.pack("<hhI", *counts_at(self.motion(k) + off), ticks)
         at = k + ADC if at is None else at
         self.until(at)
+        self.give(self.adc_pdo(k, off, time), at)
+
+    def adc_pdo(self, k: float, off: float = 0.0, time: float | None = None) -> Frame:
         self.sampled = k
-        self.give(Frame(0x180 + INTERFACE, data[: self.sample_bytes]), at)
+        time_s = (k if time is None else time) * PERIOD_S
+        return adc_pdo(self.motion(k) + off, time_s=time_s if self.times else None)
 
     def cycle(self, k: int) -> None:
         self.sync_at(k)
@@ -407,10 +411,11 @@ def test_an_interface_at_another_rate_than_sync_loses_the_position(
 ) -> None:
     """More samples come than SYNCs, or fewer: one is counted too little or too often when the delay wraps."""
     ramp = 50.0 * speed
-    machine = Machine(
-        stamped,
-        lambda at: 0.3 + 0.01 * min(max(0.0, at - 50.0), ramp) ** 2 + speed * max(0.0, at - 50.0 - ramp),
-    )
+
+    def motion(at: float) -> float:
+        return 0.3 + 0.01 * min(max(0.0, at - 50.0), ramp) ** 2 + speed * max(0.0, at - 50.0 - ramp)
+
+    machine = Machine(stamped, motion)
     end = 500 + round(0.75 / abs(faster))  # the delay wraps when it has changed by 0.4 or 0.6 period
     frames = [(float(k), True, 0.0) for k in range(1, end)]
     frames += [(at, False, at) for k in range(1, 2 * end) if (at := k / (1.0 + faster) + 0.6) < end]
@@ -546,15 +551,8 @@ def test_a_machine_that_begins_to_move_in_a_pause_is_lost(
 
 
 DISTURBED = (
-    "SYNC lost",
-    "PDO lost",
-    "both lost",
-    "PDO late",
-    "PDO twice",
-    "SYNC extra",
-    "counter",
-    "host late",
-)
+    "SYNC lost", "PDO lost", "both lost", "PDO late", "PDO twice", "SYNC extra", "counter", "host late",
+)  # fmt: skip
 
 
 @given(
@@ -604,11 +602,10 @@ def turning(
     for k in range(1, syncs):
         now = k * FAST_S + draw.uniform(-jitter_us, jitter_us) * 1e-6
         cycles = speed * (now * now / 2.0 if now < 1.0 else now - 0.5)
-        data = struct.pack("<hhI", *counts_at(cycles), round(now * 1e7))
         bench.bus.run_until(now)
         bench.sent(SYNC)
         bench.bus.run_until(now + 3e-4)
-        bench.sent(Frame(0x190, data if times else data[:4]))
+        bench.sent(adc_pdo(cycles, time_s=now if times else None))
     return warnings, bench.module
 
 
@@ -678,10 +675,8 @@ def test_a_pause_that_waits_for_a_late_host_is_as_long_as_it_was(times: bool, ov
     for k in range(60, 72):
         for command in {61: [2], 70: [1]}.get(k, []):
             machine.sent(Frame(0, bytes([command, NODE])))
-        machine.sent(Frame(0x80, bytes([(k - 1) % overflow + 1]) if overflow else b""))
-        machine.sampled = k
-        data = struct.pack("<hhI", *counts_at(machine.motion(k)), round(k * PERIOD_S * 1e7))
-        machine.sent(Frame(0x180 + INTERFACE, data[: machine.sample_bytes]))
+        machine.sent(machine.sync_pdo(k))
+        machine.sent(machine.adc_pdo(k))
     machine.run(72, 100)
     assert machine.right()
 
@@ -710,10 +705,8 @@ def test_nothing_valid_is_sent_on_request_when_sync_has_stopped() -> None:
     machine.run(1, 60)
     for at, answers in ((60.0, 1), (80.0, 0)):
         machine.until(at)
-        assert (
-            sum(frame.can_id == 0x180 + NODE for frame in machine.module.receive(REQUEST, at * PERIOD_S))
-            == answers
-        )
+        sent = machine.module.receive(REQUEST, at * PERIOD_S)
+        assert sum(frame.can_id == 0x180 + NODE for frame in sent) == answers
 
 
 def test_a_sync_off_the_grid_is_that_of_its_own_sample() -> None:
@@ -726,12 +719,17 @@ def test_a_sync_off_the_grid_is_that_of_its_own_sample() -> None:
     assert machine.positions[-1].valid
 
 
-def test_a_part_that_waits_for_sync_ends_its_sample_before_those_that_are_missing() -> None:
-    machine = Machine(True, creeping(0.25), entries={(0x2010, 3): 9, (0x2010, 6): 10})
+def with_flags(motion: Motion, entries: dict[tuple[int, int], float] | None = None) -> Machine:
+    """The flags of a sample come in RPDO2."""
+    machine = Machine(True, motion, entries)
     machine.remote.nmt.state = "PRE-OPERATIONAL"
     machine.map_rpdo2(0x20000608)
-    machine.sdo[0x1401][2].raw = 1
     machine.start()
+    return machine
+
+
+def test_a_part_that_waits_for_sync_ends_its_sample_before_those_that_are_missing() -> None:
+    machine = with_flags(creeping(0.25), {(0x2010, 3): 9, (0x2010, 6): 10, (0x1401, 2): 1})
     for k in (*range(1, 60), *range(63, 110)):
         machine.cycle(k)
         machine.sent(Frame(0x290, b"\0"))
@@ -766,10 +764,7 @@ def test_the_position_goes_on_behind_disturbed_syncs(
 
 def test_the_tracks_of_a_sample_twice_before_its_other_part_are_the_same_adc_pdo() -> None:
     """Which of them belong together is open, not how many intervals passed."""
-    machine = Machine(True, ramped(0.9))
-    machine.remote.nmt.state = "PRE-OPERATIONAL"
-    machine.map_rpdo2(0x20000608)
-    machine.start()
+    machine = with_flags(ramped(0.9))
     for k in range(1, 140):
         machine.cycle(k)
         if k == 100:

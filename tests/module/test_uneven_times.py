@@ -18,7 +18,7 @@ from canfb.configuration import parse_config
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import LOST, VALID
 from drawing import examples
-from ideal_tracks import counts_at
+from ideal_tracks import adc_pdo
 
 SPARE_CYCLES = 0.1
 ACCELERATION_RAD_S2 = 0.2
@@ -57,9 +57,8 @@ class Desktop:
             self.synced_s += 1e-3 * one.apart_ms
             frames.append((self.synced_s, Frame(0x80, b""), None))
             sampled_s = self.synced_s + 1e-3 * (one.sampled_ms + self.sloppy_ms * (len(frames) % 4 // 2))
-            counts = counts_at(self.cycles_at(sampled_s))
-            data = struct.pack("<hhI", *counts, (round(sampled_s * 1e7) + self.set_ticks) % 2**32)
-            frames.append((sampled_s + 1e-3 * one.sent_ms, Frame(0x190, data), sampled_s))
+            pdo = adc_pdo(self.cycles_at(sampled_s), time_s=sampled_s + 1e-7 * self.set_ticks)
+            frames.append((sampled_s + 1e-3 * one.sent_ms, pdo, sampled_s))
         before = len(self.statuses)
         for at_s, frame, sample_s in sorted(frames, key=lambda entry: entry[0]):
             while (due := self.module.deadline()) is not None and due < at_s:

@@ -16,7 +16,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Feedback, Sample
 from canfb.signal.supervision import VALID
 from drawing import examples
-from ideal_tracks import Resolving, counts_at, wavy_table
+from ideal_tracks import Resolving, adc_pdo, wavy_table
 
 SYNC, ADC_PDO = 0x80, 0x190
 TABLE = wavy_table(64, 0.02)
@@ -102,10 +102,7 @@ class Pair:
         assert ours == theirs
 
     def sample(self, position: float, amplitude: float = 1500.0) -> None:
-        data = struct.pack("<hh", *counts_at(position, amplitude))
-        if self.times:
-            data += struct.pack("<I", round(self.now * 1e7) & 0xFFFFFFFF)
-        self.send(Frame(ADC_PDO, data), 0.0002)
+        self.send(adc_pdo(position, amplitude, self.now if self.times else None), 0.0002)
 
     def write(self, index: int, subindex: int, value: float) -> None:
         for module in self.modules:

@@ -21,7 +21,7 @@ from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from commissioning_kit import TABLE
 from drawing import examples
-from ideal_tracks import counts_at
+from ideal_tracks import adc_pdo, counts_at
 from replay_kit import (
     ADC_ID,
     EPOCH_S,
@@ -30,7 +30,6 @@ from replay_kit import (
     POSITION_ID,
     SYNC_ID,
     Planned,
-    adc,
     config,
     contents,
     live,
@@ -82,7 +81,7 @@ def test_heartbeat_event_timer_inhibit_time_and_speed() -> None:
 def test_faults_reset_and_saved_parameters() -> None:
     plan = session(600)
     del plan[100:102], plan[200], plan[300:330]
-    plan[401] = (plan[401][0], adc(0.1, 3000.0))
+    plan[401] = (plan[401][0], adc_pdo(0.1, 3000.0))
     plan[451] = (plan[451][0], Frame(ADC_ID, b"\1"))
     plan += [(0.9, sdo_write(0x1010, 1, b"save")), (0.95, nmt(129)), (1.0, nmt(1)), *motion(100, 1.1)]
     log, sent = live(plan, MemoryStore())
@@ -143,7 +142,7 @@ def test_a_log_that_starts_in_the_middle() -> None:
 def test_other_limits_than_those_of_the_log_are_noted() -> None:
     read = [(0.3, Frame(0x620, struct.pack("<BHB4x", 0x40, 0x2001, 4)))]
     plan = session(300, speed=0.02)
-    plan[400] = (plan[400][0], adc(0.1, 2000.0))
+    plan[400] = (plan[400][0], adc_pdo(0.1, 2000.0))
     for more, note in ((read, "other values in 2001h:04"), ([], "EMCY are not in the log")):
         log, _ = live(sorted([*plan, *more], key=lambda planned: planned[0]))
         replay, _ = replayed(log, amplitude_high_counts=1400)
@@ -182,7 +181,7 @@ def test_frames_that_one_side_lacks_do_not_shift_the_pairs() -> None:
 
 EVENTS = st.one_of(
     st.builds(lambda: Frame(SYNC_ID, b"")),
-    st.builds(adc, st.floats(-3.0, 3.0), st.sampled_from([100.0, 1500.0, 2047.0])),
+    st.builds(adc_pdo, st.floats(-3.0, 3.0), st.sampled_from([100.0, 1500.0, 2047.0])),
     st.builds(nmt, st.sampled_from([1, 2, 128, 129, 130]), st.sampled_from([0, NODE_ID, 5])),
     st.builds(
         sdo_write,

@@ -11,10 +11,9 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.sample import TICKS
 from canfb.signal.supervision import EXTRAPOLATED, VALID
 from canfb.timing.grid import LEARNED, MEMORY, Grid
-from ideal_tracks import counts_at
+from ideal_tracks import adc_pdo
 
 NODE, INTERFACE = 0x20, 0x10
 PERIOD_TICKS = 10_000
@@ -62,8 +61,7 @@ class Shaft:
         for k in range(first, first + periods):
             at = k + 0.5 + self._jitter.gauss(0.0, self._sigma_ms)
             sent = self._give(Frame(0x80, b""), at)
-            data = struct.pack("<hhI", *counts_at(self.motion(at)), round(at * 10_000) % TICKS)
-            sent += self._give(Frame(0x180 + INTERFACE, data), at + 0.3)
+            sent += self._give(adc_pdo(self.motion(at), time_s=at / 1000.0), at + 0.3)
             for position in sent:
                 if k < first + skip:
                     continue

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import random
 
 import pytest
 from hypothesis import given, strategies as st
+from witness_kit import at
 
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.sample import TICKS, Feedback, Sample
+from canfb.signal.sample import TICKS, Feedback
 from canfb.signal.sample_times import HEARD_S, OLDEST, REPEATED, RESTARTED, SUSPECT, SampleTimes
 from canfb.timing.grid import ROW
 
@@ -51,8 +51,8 @@ class Clock:
 def test_a_long_first_interval_is_not_the_pace() -> None:
     """Its producer stalled, and no receive time says so; the later ones are even."""
     times, counted = SampleTimes(), 1.0
-    for at in (0, 28, 38, 48, 58, 68, 78, 88, 98):
-        got = times.elapsed(1000 * at, counted, None, at * 1e-4)
+    for tenths in (0, 28, 38, 48, 58, 68, 78, 88, 98):
+        got = times.elapsed(1000 * tenths, counted, None, tenths * 1e-4)
         counted = 1.0 if got > 0.0 else counted + 1.0
     assert (got, times.grid.period) == pytest.approx((1.0, 1e4))
 
@@ -189,12 +189,11 @@ def test_periods_that_only_the_times_show_count_for_a_machine_that_creeps(
     chain = SignalChain(ChainConfig())
     chain.sync_interval_s = 1e-3
 
-    def step(at: int) -> Feedback:
-        angle = 2.0 * math.pi * speed * at
-        return chain.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle), time_100ns=at * T))
+    def step(number: int) -> Feedback:
+        return chain.step(at(speed * number, time_100ns=number * T))
 
-    assert all(step(at).valid for at in range(40))
-    after = [step(40 + unheard + at) for at in range(20)]
+    assert all(step(number).valid for number in range(40))
+    after = [step(40 + unheard + number) for number in range(20)]
     assert chain.lost is lost
     assert all(not one.valid or abs(one.cycles + one.phase) < 0.01 for one in after)
 
