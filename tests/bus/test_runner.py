@@ -41,15 +41,8 @@ class Bench:
 
     def runner(self, devices: list[Device], **options: Any) -> Runner:
         bus: Any = self.bus
-        return Runner(
-            frame_bus(bus),
-            devices,
-            self.reported.append,
-            self.clock,
-            self.clock.sleep,
-            lambda: self.clock.now + WALL_S,
-            **options,
-        )
+        clocks = self.clock, self.clock.sleep, lambda: self.clock.now + WALL_S
+        return Runner(frame_bus(bus), devices, self.reported.append, *clocks, **options)
 
     def run(
         self,
@@ -225,6 +218,7 @@ KINDS: dict[str, Callable[[], can.Message | Exception]] = {
     "CAN FD": lambda: message(0x181, is_fd=True, data=bytes(64)),
     "failure": lambda: BROKEN,
 }
+HEARD = {"data": (False, 0x181), "remote": (True, 0x182)}
 EVENTS = st.lists(st.tuples(st.floats(0.001, 0.3), st.sampled_from(sorted(KINDS))), max_size=30)
 PERIODS_S = st.lists(st.floats(0.01, 0.5), min_size=1, max_size=3)
 
@@ -241,11 +235,7 @@ def test_whatever_a_bus_does_frames_come_once_and_deadlines_are_kept(
     devices = [bench.device(period_s=period_s, tick_id=0x300 + n) for n, period_s in enumerate(periods_s)]
     runner = bench.run([*devices], 9.5)
     kinds, counters = [kind for _, kind in events], runner.counters
-    came = [
-        (kind == "remote", 0x182 if kind == "remote" else 0x181)
-        for kind in kinds
-        if kind in ("data", "remote")
-    ]
+    came = [HEARD[kind] for kind in kinds if kind in HEARD]
     failures = kinds.count("failure")
     for device, period_s in zip(devices, periods_s, strict=True):
         heard = [(frame.rtr, frame.can_id) for _, frame in device.heard]
@@ -262,10 +252,8 @@ def test_whatever_a_bus_does_frames_come_once_and_deadlines_are_kept(
     assert counters.sent == len(bench.bus.sent)
     assert counters.sent + counters.send_failures == sum(len(device.ticked) for device in devices)
     assert len(bench.clock.slept) < max(failures, 1), "a single failure costs no time"
-    for trouble, recovered in (
-        ("the bus fails: the", "the bus works"),
-        ("a frame could not", "frames can be sent"),
-    ):
+    ends = {"the bus fails: the": "the bus works", "a frame could not": "frames can be sent"}
+    for trouble, recovered in ends.items():
         lines = [text for text in bench.reported if text.startswith((trouble, recovered))]
         assert [text.startswith(trouble) for text in lines] == [n % 2 == 0 for n in range(len(lines))]
 
@@ -342,17 +330,12 @@ def test_a_device_that_raises_ends_it_for_all(method: str) -> None:
     good, bad = bench.device(period_s=0.25), bench.device(period_s=0.25 if method == "tick" else None)
     silent: Any = lambda now: []  # noqa: E731
     vars(bad).update({"bus_off": silent, "bus_back": silent, method: breaks})
-    with pytest.raises(
-        DeviceFailure, match=r"^program error: ZeroDivisionError: by zero \(test_runner"
-    ) as failure:
+    said = r"^program error: ZeroDivisionError: by zero \(test_runner"
+    with pytest.raises(DeviceFailure, match=said) as failure:
         bench.run([good, bad], 5.0)
     assert failure.value.device is bad
     assert isinstance(failure.value.__cause__, ZeroDivisionError)
-    assert bench.reported in (
-        [],
-        ["the CAN controller is bus-off"],
-        ["the CAN controller is bus-off", "the CAN controller is on the bus again"],
-    )
+    assert bench.reported in ([], [OFF_LINE], [OFF_LINE, ON_LINE])
 
 
 BUS_OFF = message(ERROR_BUS_OFF | 0x200, bytes(8), is_error_frame=True)
@@ -376,7 +359,7 @@ def test_other_nodes_are_heard_before_the_devices_start(
     bench = Bench(*plan)
     device = bench.device(boot=(Frame(0x720, b"\0"),))
     assert bench.runner([device]).hears({0x5A0, 0x720}, 0.1, ASKED) == heard
-    assert ("the CAN controller is bus-off" in bench.reported) is ((0.01, BUS_OFF) in plan)
+    assert (OFF_LINE in bench.reported) is ((0.01, BUS_OFF) in plan)
     assert bench.bus.at == pytest.approx(until_s)
     assert bench.bus.sent_ids() == [0x620]
     assert device.heard == []
@@ -484,26 +467,15 @@ SCENES: dict[str, tuple[list[Any], dict[str, Any], list[float], list[str] | None
     "reading fails on and on":
         ([*((1.0, GONE) for _ in range(10)), (5.0, FRAME)], {}, [1.0 + LASTING_S, 5.0 + SETTLED_S], None),
     "bad datagrams": ([(0.1 * n, UNPACKED if n % 2 else FRAME) for n in range(1, 60)], {}, [], None),
-    **{
-        f"sending fails: {error!r}": (
-            [],
-            sending(lambda at, error=error: error if at < 1.05 else None, 0.5),
-            [0.5, 1.5 + SETTLED_S],
-            None,
-        )
-        for error in DOWNS
-    },
-    "sending fails now and then": (
-        [],
-        sending(lambda at: BROKEN if round(at * 10) % 7 == 0 else None, 0.1),
-        [],
-        ["a frame could not be sent: the cable is off [Error Code 5]"],
-    ),
+    **{f"sending fails: {error!r}":
+        ([], sending(lambda at, error=error: error if at < 1.05 else None, 0.5), [0.5, 1.5 + SETTLED_S], None)
+       for error in DOWNS},
+    "sending fails now and then":
+        ([], sending(lambda at: BROKEN if round(at * 10) % 7 == 0 else None, 0.1), [],
+         ["a frame could not be sent: the cable is off [Error Code 5]"]),
     # With nobody on the bus who acknowledges the controller is passive, but not off.
-    **{
-        f"a full queue: {error}": ([], sending(lambda at, error=error: error, 0.1), [], None)
-        for error in (FULL, GONE)
-    },
+    **{f"a full queue: {error}": ([], sending(lambda at, error=error: error, 0.1), [], None)
+       for error in (FULL, GONE)},
 }  # fmt: skip
 
 
