@@ -1,4 +1,4 @@
-"""How far an encoder is from the table in force: exact, whatever the conditionings are."""
+"""How far an encoder is from the table in force, exactly; and tracks that change during a measurement."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from hypothesis import example, given, strategies as st
 from measurements import extreme_encoder, measured, paper_motion, random_encoder, true_phases, wandering
 
 from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
-from canfb.calibration.result import Calibration, drift
+from canfb.calibration.over_speeds import TracksAtSpeed, calibrate_over_speeds
+from canfb.calibration.result import Calibration, Reason, drift
+from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable
-from canfb.simulation.encoder import Encoder
+from canfb.signal.phase import FloatArray, raw_phases
+from canfb.simulation.encoder import Encoder, Harmonic
 
 
 @pytest.fixture(scope="module")
@@ -120,3 +123,90 @@ def test_measurements_of_one_encoder_differ_by_their_uncertainty(
         uncertainty = np.hypot(first.uncertainty_rms, again.uncertainty_rms)
         assert 1e-7 < found.rms < 3.0 * uncertainty
         assert found.peak < 10.0 * uncertainty
+
+
+# Tracks that change while they are measured.
+
+Changed = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+NOISE_COUNTS = 0.5
+
+
+FIXED = Encoder(
+    sine_offset=0.02, cosine_offset=-0.01, cosine_amplitude=1.04, phase_error_rad=-0.04,
+    harmonics=(Harmonic(3, 0.01, 0.01),), noise_lsb=NOISE_COUNTS,
+)  # fmt: skip
+
+
+def tracks(position: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
+    sine, cosine = FIXED.sample(position, np.random.default_rng(seed))
+    return sine.astype(float), cosine.astype(float)
+
+
+SAMPLES = np.arange(9000.0)
+ANY_MOTION = np.cumsum(np.minimum(SAMPLES * 0.002, 1.37) * (1.0 + 0.01 * np.sin(SAMPLES / 230.0)))
+METHODS = {calibrate_from_motion: ANY_MOTION, calibrate_from_zero_crossings: 0.0173 * SAMPLES}
+CHANGES: dict[str, Changed] = {
+    "drift of 2 counts": lambda s, c, u: (s + 2.0 * u, c),
+    "drift of 2 %": lambda s, c, u: (s + 30.0 * u, c),
+    "gain drifts by 3 %": lambda s, c, u: (s * (1.0 + 0.03 * u), c),
+    "jump at half time": lambda s, c, u: (s, c + 100.0 * (u > 0.5)),
+    "jump in a short measurement": lambda s, c, u: (s[:5000] + 300.0 * (u[:5000] > 0.3), c[:5000]),
+    "jump near the end": lambda s, c, u: (s, c + 20.0 * (u > 0.9)),
+    "both larger near the end": lambda s, c, u: (s * (1.0 + 0.2 * (u > 0.95)), c * (1.0 + 0.2 * (u > 0.95))),
+    "gain at the very end": lambda s, c, u: (s * (1.0 + 0.12 * (u > 0.98)), c),
+    "a little gain near the end": lambda s, c, u: (s * (1.0 + 0.003 * (u > 0.97)), c),
+    "offset grows near the end": lambda s, c, u: (s + 15.0 * np.maximum(0.0, 20.0 * u - 19.0), c),
+    "exchanged": lambda s, c, u: (np.where(u > 0.5, c, s), np.where(u > 0.5, s, c)),
+    "inverted": lambda s, c, u: (np.where(u > 0.4, -s, s), c),
+}
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.__name__)
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_no_accuracy_is_stated_that_the_end_of_the_measurement_contradicts(
+    method: Callable[..., Calibration], change: Changed
+) -> None:
+    sine, cosine = change(*tracks(METHODS[method], 1), SAMPLES / len(SAMPLES))
+    found, reason = None, ""
+    try:
+        found = method(np.round(sine), np.round(cosine), "fit")
+    except CalibrationError as error:
+        reason = error.reason
+    if found is None:
+        assert reason == Reason.CHANGED
+        return
+    position = np.arange(4096) / 4096
+    later = change(*tracks(position, 7), np.ones(4096))
+    raw = raw_phases(*found.conditioning.apply(*later))
+    off = (found.table(raw) - position + 0.25) % 1.0
+    noise = 6.0 * NOISE_COUNTS / FIXED.amplitude_counts / (2.0 * np.pi)
+    assert np.abs(off - np.median(off)).max() < found.uncertainty_peak + noise
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.__name__)
+@pytest.mark.parametrize("runout", [0.0, 0.05])
+def test_steady_tracks_do_not_change(method: Callable[..., Calibration], runout: float) -> None:
+    amplitude = 1.0 + runout * np.sin(METHODS[method] / 3.0)  # over a revolution of 19 cycles
+    found = method(*(amplitude * track for track in tracks(METHODS[method], 1)), "fit")
+    assert found.change_rms == 0.0
+    assert found.uncertainty_peak < 2e-4
+
+
+def test_the_larger_figure_is_stated_for_a_small_drift() -> None:
+    sine, cosine = tracks(ANY_MOTION, 1)
+    found = calibrate_from_motion(sine + 5.0 * SAMPLES / len(SAMPLES), cosine, "fit")
+    # 5 counts turn the phase by 5 / 1500 rad at the most; the first and last of nine parts see 8/9 of it.
+    assert found.change_rms == pytest.approx(8 / 9 * 5 / 1500 / 2 / np.pi / np.sqrt(2), rel=0.15)
+    assert found.uncertainty_rms == found.change_rms
+    assert found.cramer_rao_ratio is not None
+    assert found.cramer_rao_ratio > 10.0
+
+
+def test_tracks_that_change_from_one_speed_to_the_next_are_refused() -> None:
+    measured = []
+    for number, per_sample in enumerate((0.0317, 0.2371, 0.4123)):
+        sine, cosine = tracks(per_sample * np.arange(6000.0), number)
+        measured.append(TracksAtSpeed(sine + 70.0 * (number == 2), cosine, 1000.0, 1000.0 * per_sample))
+    with pytest.raises(CalibrationError, match="tables of the speeds differ") as caught:
+        calibrate_over_speeds(measured)
+    assert caught.value.reason == Reason.CHANGED
