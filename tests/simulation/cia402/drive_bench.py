@@ -122,11 +122,12 @@ class DriveBench:
             struct.unpack_from("<H", frame.data)[0] for frame in self.heard if frame.can_id == 0x80 + node_id
         ]
 
-    def onward(self, speed_rev_s: float | None = None) -> None:
-        """One SYNC, and the target for the next, at this speed."""
-        self.place += (self.speed_rev_s if speed_rev_s is None else speed_rev_s) * UNITS * self.period_s
-        self.target(round(self.place))
-        self.cycle()
+    def onward(self, count: int = 1) -> None:
+        """So many SYNCs, and the target for the next, at this speed."""
+        for _ in range(count):
+            self.place += self.speed_rev_s * UNITS * self.period_s
+            self.target(round(self.place))
+            self.cycle()
 
     def follow(self, targets: list[int] | np.ndarray) -> np.ndarray:
         """A target for each SYNC; the true position of the shaft at each, in units."""
@@ -142,14 +143,11 @@ def cruising(speed_rev_s: float = 5.0, **fields: Any) -> DriveBench:
     """At a constant speed, by targets at each SYNC."""
     bench = DriveBench(**fields)
     bench.enable()
-    bench.speed_rev_s = speed_rev_s
-    bench.place = float(bench.read(0x6064))
-    speed = 0.0
-    while speed < speed_rev_s:
-        speed += 50 * bench.period_s
-        bench.onward(min(speed, speed_rev_s))
-    for _ in range(50):
+    bench.speed_rev_s, bench.place = 0.0, float(bench.read(0x6064))
+    while bench.speed_rev_s < speed_rev_s:
+        bench.speed_rev_s = min(bench.speed_rev_s + 50 * bench.period_s, speed_rev_s)
         bench.onward()
+    bench.onward(50)
     assert bench.state is State.OPERATION_ENABLED
     assert abs(bench.motor.speed_rad_s / 6.283185 - speed_rev_s) <= 0.02 * speed_rev_s
     return bench

@@ -74,8 +74,7 @@ def test_wrong_feedback_takes_the_torque_away_in_the_same_cycle(
 def test_the_fault_stays_until_it_is_reset_and_the_feedback_is_good() -> None:
     bench = cruising()
     bench.source.change = lambda sample: Sample(0, 0)
-    for _ in range(10):
-        bench.onward()
+    bench.onward(10)
     bench.source.change = lambda sample: sample
     place = bench.motor.revolutions
     for controlword in (0x06, 0x07, 0x0F, 0x00, 0x80, 0x0F):  # a reset among them: the position is lost
@@ -135,11 +134,9 @@ def test_6007h_says_what_a_lost_heartbeat_does(option: int, state: State) -> Non
     bench.write(0x1029, 1, 1)  # stay in Operational
     bench.write(0x1016, MODULE_ID << 16 | HEARTBEAT_MS, 1)
     bench.bus.send(Frame(0x700 + MODULE_ID, b"\x05"))
-    for _ in range(HEARTBEAT_MS + 1):
-        bench.onward()
+    bench.onward(HEARTBEAT_MS + 1)
     assert bench.state is state
-    for _ in range(300):
-        bench.onward()
+    bench.onward(300)
     ends = {State.QUICK_STOP_ACTIVE: State.SWITCH_ON_DISABLED}
     assert bench.state is ends.get(state, state)
 
