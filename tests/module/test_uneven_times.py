@@ -1,14 +1,17 @@
-"""A session on a desktop: master, interface and module are late now and then; sample times know when."""
+"""Late, uneven and missing frames, on a desktop and at starts in motion: nothing that is valid is wrong."""
 
 from __future__ import annotations
 
 import math
+import random
 import struct
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import example, given, strategies as st
 from module_bench import Bench
 
 from canfb import objects as od
@@ -16,9 +19,11 @@ from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import LOST, VALID
 from drawing import examples
-from ideal_tracks import adc_pdo
+from ideal_tracks import adc_pdo, counts_at
+from judged_session import Judge, TrueMotion
 
 SPARE_CYCLES = 0.1
 ACCELERATION_RAD_S2 = 0.2
@@ -104,8 +109,9 @@ UNEVEN = {
     "long first": [29.7, 1.7, 6.1, 8.0, 12.1, 14.5, 1.4],
     "producer that leaves out": [47.1, 9.9, 20.4, 9.8, 30.2, 10.1],
 }
-STARTS = {name: [Cycle(one) for one in apart] for name, apart in UNEVEN.items()}
-STARTS["first SYNC heard late"] = [Cycle(16.0, -5.9, 6.2), Cycle(4.0)]
+STARTS = {name: [Cycle(one) for one in apart] for name, apart in UNEVEN.items()} | {
+    "first SYNC heard late": [Cycle(16.0, -5.9, 6.2), Cycle(4.0)]
+}
 
 
 def turning(begin_s: float, stamped: bool = True, sloppy_ms: float = 0.0) -> Desktop:
@@ -227,3 +233,238 @@ def test_the_period_is_known_from_pre_operational_on() -> None:
     desktop = Desktop(started=False)
     desktop.play([Cycle(10.0)] * 8)
     assert desktop.module.interval_s == pytest.approx(0.01, rel=0.01)
+
+
+# A machine that turns already when its module starts, and sample times at a SYNC that jitters.
+
+N, PERIOD_S, JITTER_S, SEEDS = 2500, 1e-3, 80e-6, 12
+RAD_S2 = 2.0 * math.pi / N / PERIOD_S**2  # of one cycle per period^2
+
+
+@dataclass
+class Start:
+    """What is known at a start, and what does not come of it: numbers of samples."""
+
+    nominal: bool = False
+    stamps: bool = False
+    counter: bool = False
+    heard_before: int = 0
+    lost: tuple[int, ...] = ()
+    flagged: tuple[int, ...] = ()
+
+
+def wrong_and_right(
+    start: Start, acceleration: float, seed: int, samples: int = 40
+) -> tuple[list[int], bool]:
+    """Samples whose position is valid and wrong, counted from 1, and whether it is right at the end."""
+    rng = np.random.default_rng(seed)
+    config = ModuleConfig(
+        node_id=32, encoder_interface=16, times=True, max_acceleration_rad_s2=acceleration * RAD_S2
+    )
+    module = FeedbackModule(config)
+    module.start(0.0)
+    if start.nominal:  # 1006h by SDO
+        module.receive(Frame(0x620, struct.pack("<BHBI", 0x23, 0x1006, 0, round(PERIOD_S * 1e6))), 0.5)
+    speed = float(rng.uniform(2.0, 125.0)) * float(rng.choice((-1.0, 1.0)))
+    bend = 0.5 * acceleration * float(rng.uniform(-1.0, 1.0))
+    ticks_before = int(rng.integers(1 << 32))
+    first, wrong, right = None, [], False
+    for number in range(-start.heard_before, samples):
+        at_s = 1.0 + number * PERIOD_S + float(rng.uniform(-JITTER_S, JITTER_S))
+        if number == 0:
+            module.receive(Frame(0x000, bytes([1, 32])), 1.0 - 0.5 * PERIOD_S)
+        sampled_s = at_s + 20e-6
+        time = (sampled_s - 1.0) / PERIOD_S
+        position = 0.3 + speed * time + 0.5 * bend * time * time
+        host_s = rng.uniform(10e-6, 80e-6, 2)
+        while (due := module.deadline()) is not None and due < at_s + host_s[0]:
+            module.tick(due)
+        counter = bytes([number % 240 + 1]) if start.counter else b""
+        module.receive(Frame(0x080, counter, timestamp=at_s if start.stamps else None), at_s + host_s[0])
+        if number in start.lost or number < 0:
+            continue
+        size = 0.0 if number in start.flagged else 1500.0
+        tracks = [size * turn(2.0 * math.pi * position) for turn in (math.sin, math.cos)]
+        noisy = [round(one + rng.normal(0.0, 0.5)) for one in tracks]
+        data = struct.pack("<hhI", *noisy, (int(sampled_s * 1e7) + ticks_before) % 2**32)
+        came_s = sampled_s + 200e-6
+        pdo = Frame(0x190, data, timestamp=came_s if start.stamps else None)
+        for frame in module.receive(pdo, came_s + host_s[1]):
+            if frame.can_id != 0x1A0 or not struct.unpack_from("<H", frame.data, 4)[0] & VALID:
+                continue
+            feedback = module.feedback
+            assert feedback is not None
+            off = round(feedback.cycles + feedback.phase - position)
+            first = off if first is None else first
+            right = off == first
+            if not right:
+                wrong.append(number + 1)
+    return wrong, right
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        *(Start(), Start(stamps=True), Start(nominal=True), Start(counter=True, lost=(1,))),
+        *(Start(heard_before=3), Start(heard_before=20), Start(lost=(1,)), Start(lost=(2, 3))),
+        *(Start(nominal=True, lost=(2, 3)), Start(nominal=True, lost=(6,))),
+        *(Start(flagged=(0,)), Start(flagged=(1,))),
+    ],
+    ids=str,
+)
+def test_no_start_in_motion_is_valid_before_its_speed_is_known(start: Start) -> None:
+    """The first interval is even where it is the unit of all others: it proves nothing."""
+    for seed in range(SEEDS):
+        wrong, _ = wrong_and_right(start, (0.01, 0.05, 0.1)[seed % 3], seed)
+        assert not wrong, f"start {seed}: wrong at sample {wrong[0]}"
+
+
+@pytest.mark.parametrize(
+    ("start", "acceleration", "least"),
+    [(Start(), 0.01, SEEDS), (Start(nominal=True, lost=(6,)), 0.05, SEEDS - 1)],
+    ids=str,
+)
+def test_a_start_in_motion_is_right_soon(start: Start, acceleration: float, least: int) -> None:
+    """Where no period was known, and with the count of the first sample where one was missed."""
+    assert sum(wrong_and_right(start, acceleration, seed, 80)[1] for seed in range(SEEDS)) >= least
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0])
+def test_a_start_that_is_about_to_be_confirmed_is_no_emergency(speed: float) -> None:
+    """Sample times contradict the start of a machine that turns: that one is reported."""
+    rng = np.random.default_rng(3)
+    config = ModuleConfig(
+        node_id=32, encoder_interface=16, times=True, autostart=True, max_acceleration_rad_s2=0.01 * RAD_S2
+    )
+    module = FeedbackModule(config)
+    module.start(0.0)
+    emergencies, statuses = [], []
+    for number in range(40):
+        at_s = 1.0 + number * PERIOD_S + float(rng.uniform(-JITTER_S, JITTER_S))
+        pdo = adc_pdo(0.3 + speed * at_s / PERIOD_S, time_s=at_s)
+        sent = module.receive(Frame(0x080, b""), at_s) + module.receive(pdo, at_s + 1e-4)
+        emergencies += [frame.data[:2] for frame in sent if frame.can_id == 0xA0]
+        assert module.feedback is not None
+        statuses.append(module.feedback.status)
+    assert not statuses[3] & VALID
+    assert statuses[-1] & VALID
+    assert bool(emergencies) is (speed != 0.0)
+
+
+# ADC PDOs that come behind later SYNCs, as 2010:0E declares: each is the sample of its own.
+
+SPREAD_S, SYNC_JITTER_S, SPEED = 60e-6, 5e-6, 3.3
+SYNCS, LEARNED = 200, 40
+UNITS_PER_CYCLE = 8192
+
+
+def cycles_at(at_s: float) -> float:
+    """From standstill to SPEED, cycles per period, at no more than 0.03 cycles per period squared."""
+    periods = max(0.0, at_s / PERIOD_S - LEARNED)
+    return SPEED * (periods + 120.0 * math.expm1(-periods / 120.0))
+
+
+def session(
+    seed: int, delay: float, lost: float, answered: int = SYNCS, **fields: Any
+) -> tuple[list[int], list[float]]:
+    """Status words of TPDO1, and how far valid positions are off, cycles."""
+    draw, frames = random.Random(seed), []
+    declared_s = delay * PERIOD_S + SPREAD_S + draw.uniform(0.0, 0.5) * PERIOD_S
+    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True, answer_delay_s=declared_s, **fields))
+    module.start(0.0)
+    for number in range(SYNCS):
+        synced_s = (number + 1) * PERIOD_S + draw.uniform(-SYNC_JITTER_S, SYNC_JITTER_S)
+        answered_s = synced_s + delay * PERIOD_S + draw.uniform(0.0, SPREAD_S)
+        if draw.random() >= lost:
+            frames.append((synced_s, synced_s, Frame(0x80, b"")))
+        if draw.random() >= lost and number < answered:
+            answer = adc_pdo(cycles_at(synced_s), time_s=synced_s if module.config.times else None)
+            frames += [(answered_s, synced_s, answer)] * (1 + (number == LEARNED // 2))
+    statuses, errors = [], []
+    for at_s, synced_s, frame in sorted(frames, key=lambda one: one[0]):
+        while (due_s := module.deadline() or math.inf) < at_s:
+            module.tick(due_s)
+        for sent in module.receive(frame._replace(timestamp=at_s), at_s):
+            kind, (position,) = sent.can_id & 0x780, struct.unpack_from("<I", sent.data)
+            status = module.feedback.status if module.feedback else 0
+            statuses += [status] * (kind == 0x180)
+            # TPDO1 is of the sample, TPDO2 of the SYNC; where one is missing it may not be extrapolated.
+            if (kind == 0x180 and frame.data) or (kind == 0x280 and not lost):
+                errors += [abs(position / UNITS_PER_CYCLE - cycles_at(synced_s))] * (status & VALID)
+    return statuses, errors
+
+
+@examples(40)
+@given(st.integers(0), st.floats(0.02, 2.5), st.booleans(), st.sampled_from([0.0, 0.02, 0.1]))
+def test_no_answer_is_that_of_another_sync(seed: int, delay: float, times: bool, lost: float) -> None:
+    statuses, errors = session(seed, delay, lost, times=times, predict=1)
+    assert all(error < 0.5 for error in errors)
+    if not lost:
+        while_syncs_come = statuses[:-4]
+        assert not any(status & LOST for status in while_syncs_come)
+        assert all(status & VALID for status in while_syncs_come[LEARNED:])
+
+
+@pytest.mark.parametrize("times", [False, True])
+@pytest.mark.parametrize("delay", [0.1, 0.98, 1.6])
+def test_answers_that_stop_are_missed(delay: float, times: bool) -> None:
+    statuses, errors = session(1, delay, 0.0, SYNCS - 10, times=times, predict=1)
+    assert [bool(status & VALID) for status in statuses] == [at < SYNCS - 10 for at in range(len(statuses))]
+    assert statuses[-1] & LOST
+    assert all(error < 0.5 for error in errors)
+
+
+# The first session of the README, where any program on the computer may stand still for any time.
+
+CONFIG = parse_config(EXAMPLE)
+SESSION_PERIOD_S, SECONDS = 0.01, 10.0
+
+
+def late_s(draw: random.Random, load: float) -> float:
+    return draw.expovariate(50.0 if draw.random() < load else 2000.0)
+
+
+def frames(draw: random.Random, load: float) -> list[tuple[float, float | None]]:
+    """When each is sent: a SYNC, or the PDO of a sample taken at the second of the times."""
+    sent: list[tuple[float, float | None]] = []
+    due_s = at_s = 0.5
+    while due_s < SECONDS:
+        at_s = max(due_s, at_s + 1e-4) + late_s(draw, load)
+        sampled_s = at_s + draw.expovariate(20000.0)
+        sent_s = sampled_s + draw.expovariate(5000.0) + (late_s(draw, load) if draw.random() < 0.05 else 0.0)
+        at_s += draw.expovariate(1e4)
+        sent += [(at_s, None), (max(at_s + 5e-5, sent_s + draw.expovariate(1e4)), sampled_s)]
+        at_s = sent[-1][0]
+        due_s += SESSION_PERIOD_S * max(1, math.floor((at_s - due_s) / SESSION_PERIOD_S))
+    return sent
+
+
+@examples(15)
+@example(1_413_611_192_142, 0.1, False, True)
+@given(st.integers(0), st.sampled_from([0.01, 0.03, 0.1]), st.booleans(), st.booleans())
+def test_no_position_is_valid_and_wrong(seed: int, load: float, stamped: bool, lost: bool) -> None:
+    """With receive times one sample time in 50 is wrong by half a period to three, or the clock is set."""
+    draw, module, judge = random.Random(seed), FeedbackModule(CONFIG.modules[0]), Judge(TrueMotion(CONFIG))
+    module.start(0.0)
+    module.receive(Frame(0, b"\x01\x00"), 0.1)
+    begin_s, now_s, set_ticks, fault = None, 0.1, 0, random.Random(seed + 1)
+    for sent_s, sampled_s in frames(draw, load):
+        if lost and draw.random() < 0.02:
+            continue
+        while (due_s := module.deadline() or math.inf) < sent_s:
+            now_s = max(now_s, due_s)
+            judge.take_all(module.tick(now_s), now_s)
+        now_s = max(now_s, sent_s) + (late_s(draw, load) if draw.random() < 0.3 else 1e-5)
+        data = b""
+        if sampled_s is not None:
+            begin_s = begin_s or sampled_s
+            counts = counts_at(judge.truth.at(sampled_s - begin_s) / judge.truth.units_per_cycle)
+            ticks, wrong = round(sampled_s * 1e7), round(fault.uniform(0.5, 3.0) * fault.choice([-1e5, 1e5]))
+            judge.take(0x190, struct.pack("<hhI", *counts, ticks), now_s)
+            happens = fault.choices([0, 1, 2], [98, stamped, stamped])[0]
+            set_ticks += wrong * (happens == 2)
+            data = struct.pack("<hhI", *counts, (ticks + set_ticks + wrong * (happens == 1)) % 2**32)
+        frame = Frame(0x190 if data else 0x80, data, False, sent_s if stamped else None)
+        judge.take_all(module.receive(frame, now_s), now_s)
+    assert judge.samples > 300
+    assert judge.wrong == 0
