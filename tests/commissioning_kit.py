@@ -150,11 +150,7 @@ def heard(bench: Bench) -> list[Frame]:
 
 
 def recorded(
-    encoder: Encoder,
-    n: int,
-    rpm: float = 600.0,
-    start_s: float = 0.0,
-    seed: int = 5,
+    encoder: Encoder, n: int, rpm: float = 600.0, start_s: float = 0.0, seed: int = 5
 ) -> TrackSamples:
     """Samples of a machine that turns at about ``rpm``, without a bus."""
     motion = Motion((), (Ripple(0.02 * rpm, 0.31), Ripple(0.01 * rpm, 1.7)), rpm)

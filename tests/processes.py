@@ -140,10 +140,11 @@ class Process:
         return False
 
 
+Started = Callable[..., Process]
+
+
 @contextlib.contextmanager
-def commands(
-    patience_s: float, start: Callable[[tuple[str, ...]], Any] = executed
-) -> Iterator[Callable[..., Process]]:
+def commands(patience_s: float, start: Callable[[tuple[str, ...]], Any] = executed) -> Iterator[Started]:
     """Starts any command; all are ended afterwards, and what they said is shown where a test fails."""
     with contextlib.ExitStack() as stack:
 

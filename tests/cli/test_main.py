@@ -12,7 +12,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from canfb.cli.printing import PRINTING, printed_log, printed_without_waiting
 from canfb.errors import BusError
 from canfb.hosting import serving
 from commands import Command, yaml_file
-from processes import Process, python
+from processes import Started, python
 
 GOOD = "bus: {interface: virtual, channel: canfb-cli}\nmodules: [{node_id: 32}]\n"
 
@@ -139,7 +138,7 @@ BEGINS = {"run": "running node 32 (20h)", "simulate": "encoder interface: node 1
     [("run", signal.SIGINT, "node 32: 0 samples; "), ("simulate", signal.SIGTERM, "0 samples sent")],
 )
 def test_a_signal_ends_it_with_exit_code_0(
-    command: str, number: signal.Signals, last: str, config: str, started: Callable[..., Process]
+    command: str, number: signal.Signals, last: str, config: str, started: Started
 ) -> None:
     process = started(sys.executable, *CANFB, command, config)
     process.wait_for("end with Ctrl-C")

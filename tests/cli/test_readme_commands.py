@@ -29,7 +29,7 @@ from canfb.simulation.set_up import of_motion, source_of
 from canfb.sources.recording_source import RecordingSource
 from documentation import ROOT, blocks, commands, page
 from judged_session import check, new_judge
-from processes import Process, python
+from processes import Started, python
 
 START_ALL = Frame(0x000, b"\x01\x00")
 POSITION = 0x1A0
@@ -107,7 +107,7 @@ def test_the_recording_is_small_and_plays_for_ten_seconds_without_a_fault() -> N
 @pytest.fixture
 def start(
     started: Any, multicast_words: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Callable[..., Process]:
+) -> Started:
     """Starts a command on the bus of the test, in its folder."""
     monkeypatch.chdir(tmp_path)
     words = multicast_words

@@ -11,7 +11,7 @@ import signal
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -24,7 +24,7 @@ from canfb.cia301 import cob
 from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS
 from commands import Command
 from ideal_tracks import wavy_table
-from processes import Process
+from processes import Started
 
 PATIENCE_S = 120.0
 A_START = 16  # samples: those that confirm it are counted as coasted
@@ -38,7 +38,6 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-Started = Callable[..., Process]
 TRY = (sys.executable, "-m", "canfb", "try")
 
 

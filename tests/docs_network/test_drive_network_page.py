@@ -6,7 +6,6 @@ import ast
 import re
 import shutil
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from story_bench import FOLDER, DriveNetwork, assert_all_quiet
 import canfb
 from canfb.configuration import load_config
 from documentation import blocks
-from processes import Process
+from processes import Started
 
 PAGE = (FOLDER / "README.md").read_text(encoding="utf-8")
 NETWORK = network_file.load(FOLDER / "network.yaml")
@@ -89,10 +88,7 @@ def test_the_files_agree() -> None:
 
 
 def test_two_moves_and_an_alarm_between_them(
-    multicast_bus: can.BusABC,
-    multicast_words: dict[str, Any],
-    tmp_path: Path,
-    started: Callable[..., Process],
+    multicast_bus: can.BusABC, multicast_words: dict[str, Any], tmp_path: Path, started: Started
 ) -> None:
     (line,) = re.findall(r"`(canfb simulate feedback.yaml --pace sync)` in place", PAGE)
     assert "bus: {interface: udp_multicast, channel: 239.74.163.2}` into both YAML files" in PAGE

@@ -17,7 +17,7 @@ from typing import Any, Self
 
 import pytest
 
-from processes import Process
+from processes import Process, Started
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE_S = 180.0
@@ -183,7 +183,7 @@ def browser(tmp_path: Path) -> Iterator[Chromium]:
 
 
 @pytest.fixture
-def page(started: Callable[..., Process]) -> Process:
+def page(started: Started) -> Process:
     return started(sys.executable, "-m", "canfb", "try")
 
 

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import can
 import pytest
-from network import skip_unless_required
+from network import OpenBus, skip_unless_required
 from pace import Pace, measure
 
 from preloaded import Preloaded
-from processes import Process, commands
+from processes import Started, commands
 
 CHANNEL = "vcan0"
 NO_VCAN = f"no SocketCAN interface {CHANNEL}; run: python -m tools.vcan run -- pytest tests/socketcan"
@@ -75,28 +75,28 @@ def preloaded() -> Iterator[Preloaded]:
 
 
 @pytest.fixture
-def command(pace: Pace) -> Iterator[Callable[..., Process]]:
+def command(pace: Pace) -> Iterator[Started]:
     """Starts any command: command("candump", "-L", "vcan0"). All are ended after the test."""
     with commands(pace.patience_s) as start:
         yield start
 
 
 @pytest.fixture
-def process(pace: Pace, preloaded: Preloaded) -> Iterator[Callable[..., Process]]:
+def process(pace: Pace, preloaded: Preloaded) -> Iterator[Started]:
     """Starts a command of the project: process("run", "module.yaml"). All are ended after the test."""
     with commands(pace.patience_s, preloaded.start) as start:
         yield start
 
 
 @pytest.fixture(scope="module")
-def lasting_process(pace: Pace, preloaded: Preloaded) -> Iterator[Callable[..., Process]]:
+def lasting_process(pace: Pace, preloaded: Preloaded) -> Iterator[Started]:
     """The same for a process that serves all tests of a file."""
     with commands(pace.patience_s, preloaded.start) as start:
         yield start
 
 
 @contextlib.contextmanager
-def buses() -> Iterator[Callable[..., can.BusABC]]:
+def buses() -> Iterator[OpenBus]:
     """Opens python-can buses on the interface; all are closed afterwards."""
     with contextlib.ExitStack() as stack:
 
@@ -109,13 +109,13 @@ def buses() -> Iterator[Callable[..., can.BusABC]]:
 
 
 @pytest.fixture
-def open_bus() -> Iterator[Callable[..., can.BusABC]]:
+def open_bus() -> Iterator[OpenBus]:
     """Opens python-can buses on the interface: open_bus(can_filters=...). All are closed after the test."""
     with buses() as open_one:
         yield open_one
 
 
 @pytest.fixture
-def can_bus(open_bus: Callable[..., can.BusABC]) -> can.BusABC:
+def can_bus(open_bus: OpenBus) -> can.BusABC:
     """One python-can bus on the interface."""
     return open_bus()

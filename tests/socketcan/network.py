@@ -8,7 +8,7 @@ import os
 import struct
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Self
 
@@ -27,6 +27,7 @@ LOOK_S = 0.2
 CLOSEST = 0.75  # periods between two SYNCs
 PERIODS = 200  # 2010:06: a SYNC may be so late
 TIMES = "    times: true\n"
+OpenBus = Callable[..., can.BusABC]
 
 
 def skip_unless_required(reason: str) -> None:

@@ -14,17 +14,15 @@ from typing import Any
 import can
 import canopen
 import pytest
-from network import NODE_ID, Master, next_frame, reset, wait_for_boot_up, write_config
+from network import NODE_ID, Master, OpenBus, next_frame, reset, wait_for_boot_up, write_config
 from pace import Pace
 
 from canfb.eds_files import eds_path
-from processes import Process
+from processes import Started
 
 
 @pytest.fixture(scope="module")
-def running(
-    lasting_process: Callable[..., Process], tmp_path_factory: pytest.TempPathFactory, pace: Pace
-) -> None:
+def running(lasting_process: Started, tmp_path_factory: pytest.TempPathFactory, pace: Pace) -> None:
     """The module on the bus, as a user starts it."""
     with can.Bus(interface="socketcan", channel="vcan0") as bus:
         lasting_process("run", write_config(tmp_path_factory.mktemp("conformance")))
@@ -32,7 +30,7 @@ def running(
 
 
 @pytest.fixture
-def fresh(running: None, open_bus: Callable[..., can.BusABC], pace: Pace) -> None:
+def fresh(running: None, open_bus: OpenBus, pace: Pace) -> None:
     """With its defaults."""
     reset(open_bus(), pace)
 
@@ -126,9 +124,7 @@ def test_python_canopen_as_the_master(master: Master, can_bus: can.BusABC, pace:
     assert node.sdo[0x1000].raw == 0x00040196
 
 
-def test_python_canopen_guards_the_node(
-    master: Master, open_bus: Callable[..., can.BusABC], pace: Pace
-) -> None:
+def test_python_canopen_guards_the_node(master: Master, open_bus: OpenBus, pace: Pace) -> None:
     """Guard 02, 03 and 06: the toggle bit, and what becomes of a node whose master has gone."""
     node = master.module
     life_time_ms = round(1000 * min(60.0, pace.slower(2.0)))

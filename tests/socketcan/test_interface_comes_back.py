@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import struct
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import can
@@ -34,7 +34,7 @@ from network import (
 from pace import Pace
 
 from canfb.objects import StatusBit
-from processes import Process
+from processes import Process, Started
 
 MARK = 0x123
 AGAIN_S = 0.1  # from mark to mark: a quiet bus does not show that it works
@@ -82,7 +82,7 @@ def marked(channel: str, number: int) -> Iterator[can.BusABC]:
 
 @pytest.fixture
 def listeners(
-    process: Callable[..., Process], tmp_path: Path, can_channel: str, can_bus: can.BusABC, pace: Pace
+    process: Started, tmp_path: Path, can_channel: str, can_bus: can.BusABC, pace: Pace
 ) -> dict[str, Process]:
     """All of them, and each has begun."""
     where, log = ("-i", "socketcan", "-c", can_channel), str(tmp_path / "bus.log")
@@ -183,7 +183,7 @@ def watch_heartbeat(bus: can.BusABC, pace: Pace, period_ms: int) -> None:
 
 
 def test_an_outage_has_one_line_an_emcy_and_a_reason_for_each_state(
-    process: Callable[..., Process], tmp_path: Path, can_channel: str, pace: Pace
+    process: Started, tmp_path: Path, can_channel: str, pace: Pace
 ) -> None:
     config = write_config(tmp_path, f"{TIMES}    autostart: true\n", slow_motion(pace, STANDS))
     link_down(can_channel)

@@ -35,7 +35,7 @@ from pace import Pace
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.objects import StatusBit
-from processes import Process
+from processes import Process, Started
 
 CHANNEL = "bus: {interface: socketcan, channel: vcan0}\n"
 SOURCE = "{kind: iio, device: ads7950, trigger: sysfstrig0, wait_us: 1000000, buffer_scans: 8}"
@@ -61,7 +61,7 @@ def libiio() -> None:
 
 
 @pytest.fixture
-def interface(tmp_path: Path, command: Callable[..., Process], pace: Pace) -> Callable[[int], Process]:
+def interface(tmp_path: Path, command: Started, pace: Pace) -> Callable[[int], Process]:
     """Starts `canfb run` with this node-ID, where the emulated ADC is."""
     path = tmp_path / "interface.yaml"
 
@@ -91,11 +91,7 @@ def answers(can_bus: can.BusABC) -> tuple[int | None, bytes | None]:
 
 
 def test_a_module_follows_the_encoder_at_the_interface(
-    interface: Callable[[int], Process],
-    process: Callable[..., Process],
-    tmp_path: Path,
-    can_bus: can.BusABC,
-    pace: Pace,
+    interface: Callable[[int], Process], process: Started, tmp_path: Path, can_bus: can.BusABC, pace: Pace
 ) -> None:
     """Each SYNC fires one scan, and its position is that of the machine at this scan."""
     served = interface(INTERFACE_ID)

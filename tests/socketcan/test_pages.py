@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -17,7 +16,7 @@ from pace import Pace
 
 from documentation import blocks, page
 from judged_session import check, new_judge
-from processes import Process
+from processes import Started
 
 
 def python_block(word: str) -> str:
@@ -80,7 +79,7 @@ def figure(lines: list[str], what: str, move: int) -> float:
 
 
 def test_two_moves_and_an_alarm_between_them(
-    process: Callable[..., Process], command: Callable[..., Process], can_bus: can.BusABC, pace: Pace
+    process: Started, command: Started, can_bus: can.BusABC, pace: Pace
 ) -> None:
     config = str(FOLDER / "feedback.yaml")
     # A test must pass on a computer that is busy with others: slow motion.

@@ -6,12 +6,12 @@ import errno
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
 
 import can
 import pytest
-from network import frame, frames
+from network import OpenBus, frame, frames
 from pace import Pace
 
 from canfb.bus.bus_state import ERROR_RESTARTED
@@ -72,9 +72,7 @@ def test_the_kernel_leaves_out_what_nobody_needs(raw: RawCanBus, can_bus: can.Bu
     assert [one for one, _, _ in heard(raw, pace, 0x333)] == [0x333]
 
 
-def test_no_frame_is_lost_while_filters_change(
-    raw: RawCanBus, open_bus: Callable[..., can.BusABC], pace: Pace
-) -> None:
+def test_no_frame_is_lost_while_filters_change(raw: RawCanBus, open_bus: OpenBus, pace: Pace) -> None:
     """Frames of one CAN-ID, numbered, while others come and go in the filter."""
     count = 300
     sender = open_bus()

@@ -6,7 +6,6 @@ import queue
 import re
 import signal
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -20,6 +19,7 @@ from network import (
     SYNC,
     TIMES,
     Master,
+    OpenBus,
     Timer,
     frame,
     next_frame,
@@ -36,15 +36,13 @@ from pace import Pace
 
 from canfb.objects import StatusBit
 from ideal_tracks import wavy_table
-from processes import Process
+from processes import Process, Started
 
 MOTION = "{standstill_s: 0.01, ramp_s: 0.5, rpm: 60}"
 
 
 @pytest.fixture
-def both(
-    process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, pace: Pace
-) -> tuple[Process, Process]:
+def both(process: Started, tmp_path: Path, can_bus: can.BusABC, pace: Pace) -> tuple[Process, Process]:
     """The module and the encoder interface, on the bus, in PRE-OPERATIONAL."""
     config = write_config(tmp_path, TIMES, slow_motion(pace, MOTION))
     started = process("run", config), process("simulate", config)
@@ -53,7 +51,7 @@ def both(
 
 
 def test_python_canopen_as_master_bad_frames_and_a_clean_end(
-    both: tuple[Process, Process], open_bus: Callable[..., can.BusABC], can_channel: str, pace: Pace
+    both: tuple[Process, Process], open_bus: OpenBus, can_channel: str, pace: Pace
 ) -> None:
     with Master(can_channel, pace) as master:
         starts_reads_uploads_and_hears(master, pace)
@@ -120,7 +118,7 @@ def bad_frames_are_told_or_dropped_and_change_nothing(
 
 
 def test_the_simulator_can_produce_the_sync_and_the_other_signals(
-    process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, pace: Pace
+    process: Started, tmp_path: Path, can_bus: can.BusABC, pace: Pace
 ) -> None:
     config = write_config(tmp_path, f"{TIMES}    autostart: true\n", slow_motion(pace, MOTION))
     run = process("run", config)
@@ -135,7 +133,7 @@ def test_the_simulator_can_produce_the_sync_and_the_other_signals(
         assert one.wait() == 0
 
 
-def test_a_bus_that_does_not_exist_is_one_line(process: Callable[..., Process], tmp_path: Path) -> None:
+def test_a_bus_that_does_not_exist_is_one_line(process: Started, tmp_path: Path) -> None:
     run = process("run", write_config(tmp_path), "-c", "vcan77")
     assert run.wait() == 1
     assert run.lines == [
@@ -156,7 +154,7 @@ def lss(text: str) -> can.Message:
 
 
 @pytest.fixture
-def eight(process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, pace: Pace) -> Process:
+def eight(process: Started, tmp_path: Path, can_bus: can.BusABC, pace: Pace) -> Process:
     """The process, on the bus. Each module has stored nothing, one has a bad table."""
     (tmp_path / str(BAD_TABLE)).mkdir()
     (tmp_path / str(BAD_TABLE) / "manufacturer.bin").write_bytes(b"no table at all")

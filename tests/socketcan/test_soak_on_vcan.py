@@ -13,7 +13,7 @@ import http.client
 import signal
 import struct
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -45,7 +45,7 @@ from test_interface_comes_back import down
 from canfb.cia301.codes import AbortCode
 from canfb.objects import TABLE_STAGED, StatusBit
 from canfb.signal.correction import CorrectionTable
-from processes import Process
+from processes import Process, Started
 
 RPM, RAMP_S = 6.0, 0.02
 RAMP_SYNCS = 25  # 1 ms of the motion each
@@ -206,7 +206,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def processes(
-    process: Callable[..., Process], tmp_path: Path, can_channel: str, can_bus: can.BusABC, pace: Pace
+    process: Started, tmp_path: Path, can_channel: str, can_bus: can.BusABC, pace: Pace
 ) -> dict[str, Process]:
     """All of them, in PRE-OPERATIONAL."""
     config = write_config(tmp_path, TIMES, slow_motion(pace, MOTION))

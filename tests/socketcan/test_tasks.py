@@ -18,6 +18,7 @@ from network import (
     POSITION_COB_ID,
     TIMES,
     Master,
+    OpenBus,
     Syncs,
     next_frame,
     position_fields,
@@ -33,20 +34,20 @@ from canfb.sdo.tables import as_yaml
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from commissioning_kit import TABLE
-from processes import Process
+from processes import Process, Started
 
 NODE = str(NODE_ID)
 
 
 @pytest.fixture
-def task(process: Callable[..., Process], can_channel: str, pace: Pace) -> Callable[..., Process]:
+def task(process: Started, can_channel: str, pace: Pace) -> Started:
     """Starts a command that is a master of the bus."""
     options = ("-i", "socketcan", "-c", can_channel, "--timeout", str(pace.answer_s))
     return lambda *arguments: process(*arguments, *options)
 
 
 @pytest.fixture
-def canfb(task: Callable[..., Process]) -> Callable[..., str]:
+def canfb(task: Started) -> Callable[..., str]:
     """Such a command that succeeds; what it says."""
 
     def run(*arguments: Any) -> str:
@@ -58,9 +59,7 @@ def canfb(task: Callable[..., Process]) -> Callable[..., str]:
 
 
 @pytest.fixture
-def module(
-    process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, pace: Pace
-) -> Callable[..., Process]:
+def module(process: Started, tmp_path: Path, can_bus: can.BusABC, pace: Pace) -> Started:
     """Starts the module with these keys; it has booted."""
 
     def run(text: str = "") -> Process:
@@ -80,12 +79,7 @@ MOTION = "{standstill_s: 0.02, ramp_s: 0.15, rpm: 155, ripple_rpm: 2.5, ripple_h
 
 
 def test_a_table_is_measured_proven_and_reported_and_ctrl_c_takes_it_back(
-    process: Callable[..., Process],
-    task: Callable[..., Process],
-    tmp_path: Path,
-    open_bus: Callable[..., can.BusABC],
-    can_channel: str,
-    pace: Pace,
+    process: Started, task: Started, tmp_path: Path, open_bus: OpenBus, can_channel: str, pace: Pace
 ) -> None:
     def table_is_active() -> bool:
         bus = open_bus()  # one that was open before would still hold old positions
@@ -138,7 +132,7 @@ def test_a_table_is_measured_proven_and_reported_and_ctrl_c_takes_it_back(
 
 
 def test_a_module_is_backed_up_changed_and_restored(
-    module: Callable[..., Process], canfb: Callable[..., str], tmp_path: Path, can_channel: str, pace: Pace
+    module: Started, canfb: Callable[..., str], tmp_path: Path, can_channel: str, pace: Pace
 ) -> None:
     table, backup = tmp_path / "table.yaml", tmp_path / "backup.yaml"
     table.write_text(as_yaml(Correction(TABLE, Conditioning(sine_gain=1.25)), {}))
@@ -170,7 +164,7 @@ def content(path: Path) -> str:
 
 
 def test_a_module_is_read_and_another_one_becomes_it(
-    module: Callable[..., Process], canfb: Callable[..., str], tmp_path: Path, can_channel: str, pace: Pace
+    module: Started, canfb: Callable[..., str], tmp_path: Path, can_channel: str, pace: Pace
 ) -> None:
     def read(name: str) -> None:
         """From the running module into a DCF and its concise form."""
@@ -202,7 +196,7 @@ PDOS = (f"{POSITION_COB_ID:03X}h", f"{POSITION_COB_ID + 0x100:03X}h")
 
 @pytest.mark.parametrize("suffix", ["log", "blf"])
 def test_a_module_is_recorded_and_in_the_replay_every_pdo_comes_again(
-    process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, pace: Pace, suffix: str
+    process: Started, tmp_path: Path, can_bus: can.BusABC, pace: Pace, suffix: str
 ) -> None:
     """Byte for byte."""
     motion = slow_motion(pace, "{standstill_s: 0.01, ramp_s: 0.5, rpm: 60}")

@@ -6,12 +6,11 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from processes import Process
+from processes import Started
 from tools.vcan import __main__ as vcan, uml
 
 
@@ -83,14 +82,14 @@ def test_no_vcan_says_what_to_install(
     assert "apt-get install user-mode-linux" in told.err
 
 
-def test_a_process_left_behind_is_found(started: Callable[..., Process]) -> None:
+def test_a_process_left_behind_is_found(started: Started) -> None:
     process = started("sh", "-c", "sleep 1000 >/dev/null 2>&1 & echo ready")
     process.wait_for("ready")
     with pytest.raises(pytest.fail.Exception, match="has ended, a process that it started has not"):
         process.stop()
 
 
-def test_a_line_that_does_not_come_fails_and_shows_what_was_said(started: Callable[..., Process]) -> None:
+def test_a_line_that_does_not_come_fails_and_shows_what_was_said(started: Started) -> None:
     process = started("sh", "-c", "echo something; exec sleep 1000")
     process.wait_for("something")
     process.patience_s = 0.0
