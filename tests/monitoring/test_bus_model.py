@@ -8,6 +8,7 @@ import math
 import random
 import struct
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -70,16 +71,23 @@ def test_position_status_residual_and_tracks_are_those_of_the_module(turning: Mo
     assert low < math.hypot(*shown.tracks_counts[-1]) < high
 
 
-def test_velocity_goes_on_over_the_end_of_the_range_backwards_and_over_a_preset() -> None:
+@each(
+    "step_s, seconds, revolutions, rev_s",
+    [  # Backwards over the end of the range and over a preset; stopped 0.6 s ago, at slow PDOs, too.
+        (0.005, 0.3, lambda at: 0.05 - 3.0 * at + 1.5 * (at >= 0.2), -3.0),
+        *((step_s, 5.0, lambda at: 3.0 * min(at, 4.4), 0.0) for step_s in (0.125, 0.05, 0.02)),
+    ],
+)
+def test_the_velocity_of_the_last_positions(
+    step_s: float, seconds: float, revolutions: Callable[[float], float], rev_s: float
+) -> None:
     (layout,) = known_layouts(Config(), [NODE])
     model = BusModel([layout])
-    per_s = -3 * layout.units_per_revolution
-    for k in range(60):
-        now = k * 0.005
-        position = round(1000 + per_s * now + (k >= 40) * 54321) % layout.total_range
-        model.receive(Frame(0x180 + NODE, struct.pack("<IHH", position, 1, 0)), now)
+    for k in range(round(seconds / step_s)):
+        position = round(layout.units_per_revolution * revolutions(k * step_s)) % layout.total_range
+        model.receive(Frame(0x180 + NODE, struct.pack("<IHH", position, 1, 0)), k * step_s)
     ((_, shown),) = model.snapshot().modules
-    assert shown.velocity_rad_s == pytest.approx(-6.0 * math.pi, rel=1e-3)
+    assert shown.velocity_rad_s == pytest.approx(2.0 * math.pi * rev_s, rel=1e-3)
 
 
 def test_faults_are_counted_as_the_module_counts_them() -> None:

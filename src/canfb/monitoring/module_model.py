@@ -16,7 +16,7 @@ from canfb.timing.syncs import Syncs
 from canfb.view.module_view import LIMIT_UNITS, Number, Pdo
 
 SYNCS = 512  # that are looked at
-LEAST_SYNCS = 4
+LEAST = 4  # SYNCs of a rate; positions of a velocity: of three steps, one is neither first nor last
 OLDEST_S = 2.0
 MISSING_PERIODS = 8.0  # without a SYNC: there is none
 LEAST_SILENCE_S = 0.1
@@ -56,8 +56,8 @@ class SyncMeter:
             return SyncSnapshot()
         silent_s = max(0.0, now - self._last_s)
         known = [*self._places]
-        recent = [one for one in known[:-LEAST_SYNCS] if now - one[1] <= OLDEST_S] + known[-LEAST_SYNCS:]
-        if len(recent) < LEAST_SYNCS or silent_s > self._longest_s:
+        recent = [one for one in known[:-LEAST] if now - one[1] <= OLDEST_S] + known[-LEAST:]
+        if len(recent) < LEAST or silent_s > self._longest_s:
             return SyncSnapshot(silent_s=silent_s, count=self._count)
         places, times = zip(*recent, strict=True)
         line = statistics.linear_regression(places, times)
@@ -234,18 +234,19 @@ class ModuleModel:
         return -float(measured) if self.layout.reversed else float(measured)
 
     def _velocity_of_positions(self, now: float) -> float | None:
-        positions, per_revolution = self._positions, self.layout.units_per_revolution
+        positions, per_revolution = [*self._positions], self.layout.units_per_revolution
         if len(positions) < 2 or not per_revolution or now - positions[-1][0] > FRESH_S:
             return None
+        old = [one for one in positions[:-LEAST] if positions[-1][0] - one[0] > SPEED_S]
         total = self.layout.total_range or WORDS
         half = total // 2
         steps = sorted(
             (((after - before + half) % total - half) / (after_s - before_s), after_s - before_s)
-            for (before_s, before), (after_s, after) in pairwise(positions)
+            for (before_s, before), (after_s, after) in pairwise(positions[len(old) :])
         )
-        counted = steps[1:-1] or steps  # a preset is the fastest step one way, and moves nothing
-        moved = sum(speed * time_s for speed, time_s in counted)
-        return moved / per_revolution * 2.0 * math.pi / sum(time_s for _, time_s in counted)
+        # A preset is the fastest step one way, and moves nothing.
+        speeds, times_s = zip(*(steps[1:-1] or steps), strict=True)
+        return statistics.fmean(speeds, times_s) / per_revolution * 2.0 * math.pi
 
 
 def _since(time_s: float | None, now: float) -> float | None:
