@@ -164,6 +164,14 @@ def test_without_times_and_with_jitter_it_is_never_wrong() -> None:
         assert not got.valid or abs(away(bus, got) - first) < 0.4
 
 
+@each("per_sync", [4, 8])
+def test_a_sync_that_is_early_before_the_interface_knows_its_grid_has_its_samples(per_sync: int) -> None:
+    bus = Bus(1.5e-4, samples_per_sync=per_sync, times=False)
+    bus.source.motion = Motion(())
+    got = [bus.sync() for _ in range(64)]
+    assert all(one is not None and one.valid for one in got[1:])
+
+
 @each("per_sync, rate", [(2, 0.5), *((n, rate) for n in (2, 3) for rate in (0.9, 1.02, 1.1, 2.0))])
 @each("times", [False, True])
 def test_at_rest_sync_may_come_at_another_rate(per_sync: int, times: bool, rate: float) -> None:

@@ -24,7 +24,7 @@ from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.signal.sample import MOST_PER_SYNC, TICKS, Sample
 from canfb.sources.protocol import Grouped, Machine, Source, SourceConfig, SourceWatch
-from canfb.timing.grid import Grid
+from canfb.timing.grid import TOGETHER, Grid
 
 OLDEST_S = 10.0
 
@@ -105,11 +105,13 @@ class SyncSampler:
         if self._grid.locked:
             period_s, lead_s = self._grid.period, self._grid.lead
         newest_s = min(received_s + lead_s - EARLIER_PART * period_s, received_s)
-        apart_s = period_s / self._per_sync
-        instants = [newest_s - earlier * apart_s for earlier in range(self._per_sync - 1, -1, -1)]
         before, self._taken_s, self.newest_s = self._taken_s, newest_s, newest_s
-        if before is not None and instants[0] <= before:  # SYNCs too near together for the grid
+        passed_s = period_s if before is None else newest_s - before
+        if passed_s <= TOGETHER * period_s:
             return None
+        is_early = passed_s <= period_s - period_s / self._per_sync  # while the grid is not known
+        apart_s = (passed_s if is_early else period_s) / self._per_sync
+        instants = [newest_s - earlier * apart_s for earlier in range(self._per_sync - 1, -1, -1)]
         samples = [self._machine.sample_at(instant) for instant in instants]
         return _together(samples, None if before is None else [one - before for one in instants])
 
