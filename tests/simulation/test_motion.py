@@ -138,6 +138,18 @@ def test_a_motion_that_eq_10_does_not_allow_is_warned_of_with_a_rate_that_is_eno
         assert of_motion(motion, MODULE, float(enough)).warning() is None
 
 
+@each("ripple_hz, warned", [(3.0, False), (30.0, True), (45.0, True), (310.0, False), (2010.0, False)])
+def test_a_ripple_asks_for_what_its_samples_show(ripple_hz: float, warned: bool) -> None:
+    motion = MotionConfig(rpm=0.0, ripple_rpm=1.0, ripple_hz=ripple_hz)
+    demand = of_motion(motion, MODULE, 100.0, sampled=True)
+    places = motion.motion().revolutions_at(np.arange(300) / 100.0)
+    assert 2e4 * math.pi * np.abs(np.diff(places, 2)).max() <= 1.001 * demand.acceleration_rad_s2
+    said = demand.warning()
+    assert (said is not None) is warned
+    for enough in re.findall(r"--rate to (\d+)", said or ""):
+        assert of_motion(motion, MODULE, float(enough), sampled=True).warning() is None
+
+
 def test_a_motion_is_described() -> None:
     assert of_motion(MotionConfig(rpm=60, ramp_s=1.0), MODULE, 100.0).describe() == (
         "motion: 60 rpm: up to 25 cycles per sample, acceleration up to 6.28 rad/s^2, the module follows "

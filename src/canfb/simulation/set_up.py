@@ -136,14 +136,18 @@ class MotionDemand:
         return None
 
 
-def of_motion(motion: MotionConfig, module: ChainConfig, rate_hz: float) -> MotionDemand:
-    """Standstill, ramp and ripple of the configuration."""
+def of_motion(
+    motion: MotionConfig, module: ChainConfig, rate_hz: float, *, sampled: bool = False
+) -> MotionDemand:
+    """Of the configuration; ``sampled``: of ripple what samples show."""
     cycles = module.cycles_per_revolution / 60.0 / rate_hz  # per sample, for one rpm
     top = abs(motion.rpm) + abs(motion.ripple_rpm)
     in_motion = motion.standstill_s * rate_hz < 1.0 and motion.ramp_s * rate_hz < 1.0
     # A ramp that is shorter than an interval is a step of the speed between two samples.
     steepest = 0.0 if in_motion else min(rate_hz, 1.0 / motion.ramp_s if motion.ramp_s else math.inf)
-    ripple = 2.0 * math.pi * motion.ripple_hz * abs(motion.ripple_rpm)
+    omega = 2.0 * math.pi * motion.ripple_hz
+    # The second difference of three places of a sine is at most four times its amplitude.
+    ripple = abs(motion.ripple_rpm) * (min(omega, 4.0 * rate_hz * rate_hz / omega) if sampled else omega)
     return MotionDemand(
         f"motion: {motion.rpm:g} rpm",
         module,
@@ -162,8 +166,9 @@ def of_drive(motor: DriveConfig, objects: Dictionary, module: ChainConfig, rate_
     passive = motor.coulomb_friction_nm + abs(motor.load_torque_nm)
     able = (passive + max(motor.rated_torque_nm, motor.brake_torque_nm)) / motor.inertia_kg_m2
     speed = objects.entry(*MOST_RPM).value / 60.0 * module.cycles_per_revolution / rate_hz
-    errors = 4.0 * module.phase_error_cycles
-    demand = MotionDemand("drive", module, rate_hz, speed, able, errors_cycles=errors)
+    demand = MotionDemand(
+        "drive", module, rate_hz, speed, able, errors_cycles=4.0 * module.phase_error_cycles
+    )
     followed = demand.left_rad_s2 * motor.inertia_kg_m2  # torque, Nm
     share = (followed - passive) / motor.rated_torque_nm
     held = share > 0.001 and passive + motor.brake_torque_nm <= followed
@@ -188,7 +193,7 @@ def of_recording(
 
 
 def rounded_up(rate_hz: float) -> str:
-    """A rate not below this one, which is above 0, in two or three figures."""
+    """Not below this one, above 0, in two or three figures."""
     unit = 10.0 ** (math.floor(math.log10(rate_hz)) - 1)
     return f"{math.ceil(rate_hz / unit - 1e-9) * unit:g}"
 
@@ -381,5 +386,5 @@ def _demand(
     elif isinstance(source, RecordingSource):
         demand = of_recording(*source.tracks, module, rate_hz, str(play.file))
     else:
-        demand = of_motion(simulation.motion, module, rate_hz)
+        demand = of_motion(simulation.motion, module, rate_hz, sampled=True)
     return replace(demand, per_sync=per_sync)
