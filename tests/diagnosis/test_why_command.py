@@ -108,7 +108,9 @@ def test_a_loss_while_it_reads_is_that_of_one_time(canfb: Commands) -> None:
     bench = running(rpm=137.0)
     for command in (b"\x80\x20", b"\x01\x20"):  # started again in motion: lost a few samples later
         bench.bus.send(Frame(0x000, command))
-    assert "the machine moved during a pause" in canfb(bench, "why", NODE)[0]
+    out = canfb(bench, "why", NODE)[0]
+    assert "the machine moved during a pause" in out
+    assert "speed then: not known, it was taken to stand still\n" in out
 
 
 def test_a_module_of_before_keeps_no_cause(canfb: Commands) -> None:

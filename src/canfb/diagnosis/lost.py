@@ -102,7 +102,7 @@ class Loss:
     bad_samples: int
     residual_cycles: float
     limit_cycles: float
-    speed_cycles: float
+    speed_cycles: float | None  # None: standstill was assumed, so whole cycles per interval are open
     faults: int
 
 
@@ -212,7 +212,9 @@ class LostPosition:
             f"since the start: {losses}, {self.missed} missed samples, {self.missed_syncs} SYNCs not heard",
         ]
 
-    def _speed_words(self, cycles: float) -> str:
+    def _speed_words(self, cycles: float | None) -> str:
+        if cycles is None:
+            return "not known, it was taken to stand still"
         if not self.sample_hz:
             return f"{cycles:.3g} cycles per interval"
         rpm = cycles * self.sample_hz / self.limits.cycles_per_revolution * 60.0
@@ -240,10 +242,12 @@ class LostPosition:
         if loss is None:
             return []
         cause, missed, residual = loss.cause, loss.faults & StatusBit.MISSED, loss.faults & StatusBit.RESIDUAL
-        rate = f" at {self.sample_hz:.4g} Hz and 2010:01: a faster SYNC, or a gentler motion"
-        limits = self.limits.cycles_per_revolution, self.sample_hz, self.limits.widest_cycles
         gentler = cause in MOTION and self.sample_hz > 0.0 and not in_force.acceleration_rad_s2
-        largest = max_acceleration(*limits) if gentler else 0.0
+        largest = (
+            max_acceleration(in_force.cycles_per_revolution, self.sample_hz, in_force.widest_cycles)
+            if gentler
+            else 0.0
+        )
         doubtful = cause is LossCause.AMBIGUOUS or (cause is LossCause.COASTED and missed)
         return those(
             (cause is LossCause.COASTED, self._longer(loss)),
@@ -254,7 +258,11 @@ class LostPosition:
             ),
             (loss.faults & BAD_SIGNAL, BAD_SIGNAL_ADVICE),
             *(self._narrow(loss) if cause in MOTION or (residual and cause is not LossCause.PAUSE) else ()),
-            (gentler, f"the motion must stay below {largest:.4g} rad/s²{rate}"),
+            (
+                gentler,
+                f"the motion must stay below {largest:.4g} rad/s² at {self.sample_hz:.4g} Hz and 2010:01: "
+                "a faster SYNC, or a gentler motion",
+            ),
             (
                 cause in MOTION,
                 "a correction table of this encoder: canfb calibrate --check says whether the active one is"
@@ -356,4 +364,12 @@ def _read_loss(module: NodeAccess) -> Loss | None:
         )
     )
     residual_cycles, limit_cycles, speed_cycles = (one / LIMIT_UNITS for one in (residual, limit, speed))
-    return Loss(cause, since_ms / 1e3, bad, residual_cycles, limit_cycles, speed_cycles, faults)
+    return Loss(
+        cause,
+        since_ms / 1e3,
+        bad,
+        residual_cycles,
+        limit_cycles,
+        None if cause in (LossCause.PAUSE, LossCause.START) else speed_cycles,
+        faults,
+    )
