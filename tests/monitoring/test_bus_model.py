@@ -115,6 +115,8 @@ def test_nmt_states_are_followed(turning: MonitoredNetwork) -> None:
     network.run(0.1)
     assert (nodes(network)[NODE].state, nodes(network)[NODE].state_source) == ("OPERATIONAL", "PDO")
     network.bus.send(Frame(0x000, bytes((2, NODE))))
+    waited = next(frame for frame, _ in reversed(network.frames) if frame.can_id == 0x180 + NODE)
+    network.model.receive(waited, network.bus.now)
     assert (nodes(network)[NODE].state, nodes(network)[NODE].state_source) == ("STOPPED", "command")
     network.modules[0].dictionary.entry(0x1017).download(struct.pack("<H", 50))
     network.run(0.2)

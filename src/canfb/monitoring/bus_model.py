@@ -20,6 +20,7 @@ from canfb.monitoring.snapshot import BusSnapshot, EmergencySnapshot, NodeSnapsh
 from canfb.view.module_view import Number, Pdo
 
 EMERGENCIES = 8  # that are remembered
+IN_FLIGHT_S = 0.1  # so long after a command PDOs may come that had waited for the bus
 CAUSE_BYTE = 2  # of the five of EMCY 7300h: as 2012:10, 0 while it is not lost
 HEARD_STATES = {int(state): state for state in NmtState}
 COMMANDED = {
@@ -40,6 +41,7 @@ class NodeModel:
         self.received_s: float | None = None
         self._state: NmtState | None = None
         self._source: str | None = None
+        self._commanded_s = -IN_FLIGHT_S
         self._boot_ups = 0
         self._emergencies: deque[tuple[float, int, int, bytes]] = deque(maxlen=EMERGENCIES)
         self._emergency_count = 0
@@ -53,12 +55,12 @@ class NodeModel:
         elif state is not None:
             self._state, self._source = state, "heartbeat"
 
-    def commanded(self, command: int) -> None:
+    def commanded(self, command: int, now: float) -> None:
         if command in COMMANDED:
-            self._state, self._source = COMMANDED[NmtCommand(command)], "command"
+            self._state, self._source, self._commanded_s = COMMANDED[NmtCommand(command)], "command", now
 
-    def sends_pdos(self) -> None:
-        if self._source != "heartbeat":
+    def sends_pdos(self, now: float) -> None:
+        if self._source != "heartbeat" and not 0.0 <= now - self._commanded_s < IN_FLIGHT_S:
             self._state, self._source = NmtState.OPERATIONAL, "PDO"
 
     def emergency(self, data: bytes, now: float) -> None:
@@ -206,7 +208,7 @@ class BusModel:
         if can_id == cob.NMT:
             for node in self._nodes.values():
                 if len(data) == 2 and data[1] in (0, node.node_id):
-                    node.commanded(data[0])
+                    node.commanded(data[0], now)
             return
         function, node_id = can_id & ~0x7F, can_id & 0x7F
         if node_id not in cob.NODES or function not in SENT:
@@ -218,7 +220,7 @@ class BusModel:
         elif function == cob.EMERGENCY and can_id not in self._routes:
             node.emergency(data, now)
         elif function in cob.TPDOS:
-            node.sends_pdos()
+            node.sends_pdos(now)
             if self._assume is not None and node.module is None and can_id not in self._routes:
                 found = self._recognition.found(can_id, data)
                 if found is not None:
@@ -228,4 +230,4 @@ class BusModel:
 def _sent(node: NodeModel, module: ModuleModel, pdo: Pdo, data: bytes, now: float) -> None:
     node.received_s = now
     if module.sent(pdo, data, now):
-        node.sends_pdos()
+        node.sends_pdos(now)

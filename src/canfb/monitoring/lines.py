@@ -81,12 +81,11 @@ def module_lines(node: NodeSnapshot, module: ModuleSnapshot, units: MachineUnits
     marks = " ".join(["referenced"] * module.referenced + ["table active"] * module.table_active)
     own = f"  {module.position_units} units" if module.position_units is not None else ""
     counted = {name: count for name, count in module.seen.items() if count}
-    near = residual_tone(module, module.residual_cycles)
     return [
         Line("status", ((words, tone_of(module)), (f"  {marks}" if marks else "", "faint"))),
         _scaled("position", units.position(module.position_revolutions), own, module, tone),
         _scaled("velocity", units.velocity(module.velocity_rad_s), "", module, tone),
-        Line("residual", ((residual_words(module), near or tone),)),
+        Line("residual", ((residual_words(module), residual_tone(module, module.residual_cycles) or tone),)),
         *([Line("why", ((lost, "bad"),))] if lost else []),
         Line("amplitude", ((amplitude_words(module), tone),)),
         Line(
@@ -205,8 +204,7 @@ def _mark(module: ModuleSnapshot, name: str) -> str:
 
 
 def mapping_words(module: ModuleSnapshot) -> str:
-    known = module.layout in ("module", ASSUMED)
-    return module.layout if known else f"{module.layout}, {ASSUMED}"
+    return module.layout if module.layout in ("module", ASSUMED) else f"{module.layout}, {ASSUMED}"
 
 
 def counter_words(counters: dict[str, int]) -> str:

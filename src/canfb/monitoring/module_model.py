@@ -34,16 +34,16 @@ class SyncMeter:
         self._count = 0
 
     def sync(self, time_s: float) -> None:
-        syncs, places = self._syncs, self._places
+        places = self._places
         if self._last_s is not None and not 0.0 <= time_s - self._last_s <= self._longest_s:
-            syncs.forget()
+            self._syncs.forget()
             places.clear()
         self._last_s = time_s
         self._count += 1
-        verdict = syncs.sync(time_s, True, None)
+        verdict = self._syncs.sync(time_s, True, None)
         if verdict.doubt:  # another rate or phase
             places.clear()
-        if syncs.grid.period and not verdict.extra:
+        if self._syncs.grid.period and not verdict.extra:
             places.append((places[-1][0] + 1 + verdict.lost if places else 0, time_s))
 
     @property
