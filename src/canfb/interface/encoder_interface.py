@@ -112,8 +112,10 @@ class SyncSampler:
         is_early = passed_s <= period_s - period_s / self._per_sync  # while the grid is not known
         apart_s = (passed_s if is_early else period_s) / self._per_sync
         instants = [newest_s - earlier * apart_s for earlier in range(self._per_sync - 1, -1, -1)]
-        samples = [self._machine.sample_at(instant) for instant in instants]
-        return _together(samples, None if before is None else [one - before for one in instants])
+        return _together(
+            [self._machine.sample_at(instant) for instant in instants],
+            None if before is None else [one - before for one in instants],
+        )
 
 
 def _together(samples: list[Sample | None], passed_s: list[float] | None) -> Sample | None:

@@ -141,7 +141,6 @@ def of_motion(
 ) -> MotionDemand:
     """Of the configuration; ``sampled``: of ripple what samples show."""
     cycles = module.cycles_per_revolution / 60.0 / rate_hz  # per sample, for one rpm
-    top = abs(motion.rpm) + abs(motion.ripple_rpm)
     in_motion = motion.standstill_s * rate_hz < 1.0 and motion.ramp_s * rate_hz < 1.0
     # A ramp that is shorter than an interval is a step of the speed between two samples.
     steepest = 0.0 if in_motion else min(rate_hz, 1.0 / motion.ramp_s if motion.ramp_s else math.inf)
@@ -152,7 +151,7 @@ def of_motion(
         f"motion: {motion.rpm:g} rpm",
         module,
         rate_hz,
-        top * cycles,
+        (abs(motion.rpm) + abs(motion.ripple_rpm)) * cycles,
         2.0 * math.pi / 60.0 * (abs(motion.rpm) * steepest + ripple),
         start_cycles=abs(motion.rpm) * cycles if in_motion else 0.0,
         errors_cycles=4.0 * module.phase_error_cycles,
