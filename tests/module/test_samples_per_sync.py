@@ -17,7 +17,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.sample import Feedback
-from canfb.simulation.encoder import Encoder, Motion, MotionSource, ShaftEncoder
+from canfb.simulation.encoder import Encoder, Motion, MotionSource, Ramp, ShaftEncoder
 from folding import each
 from servo_kit import IDEAL_TABLE, s_curve
 
@@ -162,6 +162,16 @@ def test_without_times_and_with_jitter_it_is_never_wrong() -> None:
             continue
         first = away(bus, got) if first is None else first
         assert not got.valid or abs(away(bus, got) - first) < 0.4
+
+
+@each("jitter_s, kept", [(5e-5, True), (1e-4, False)])
+def test_without_times_a_sync_that_is_early_costs_its_sample(jitter_s: float, kept: bool) -> None:
+    """By more than 20 us and 0.3 of the answer delay, which is 130 us here."""
+    bus = Bus(jitter_s, samples_per_sync=2, times=False)
+    bus.source.motion = Motion([Ramp(0.3, 0.0), Ramp(0.5, 60.0)])
+    got = [(one, away(bus, one)) for one in (bus.sync() for _ in range(1000)) if one is not None]
+    assert all(one.valid for one, _ in got[80:]) is kept
+    assert all(abs(off - got[80][1]) < 0.4 for one, off in got[80:] if one.valid)
 
 
 @each("per_sync", [4, 8])
