@@ -106,6 +106,17 @@ def test_started_before_it_is_operational_it_begins_with_the_first_sample() -> N
     assert recorded(bench) == [(2, 1500), (3, 1500)], "nothing is missed before the first sample"
 
 
+def test_another_input_ends_it_and_a_reference_measurement(bench: Bench) -> None:
+    command(bench, START)
+    bench.sdo[0x2030][1].raw = START
+    interval(bench, (1, 1500))
+    for bit_31 in (1 << 31, 0):  # other objects may be mapped meanwhile
+        bench.sdo[0x1400][1].raw = bit_31 | 0x190
+    interval(bench, (2, 1500))
+    assert (bench.sdo[0x2050][1].raw, recorded(bench)) == (0, [(1, 1500)])
+    assert [bench.sdo[0x2030][n].raw for n in (2, 7)] == [4, 10]  # refused: interrupted
+
+
 def test_the_rate_is_that_of_the_syncs(bench: Bench) -> None:
     assert bench.sdo[0x2050][4].raw == 0, "not known"
     for n in range(5):

@@ -43,7 +43,7 @@ class Reason(StrEnum):
     SPEED = "speed", "too few samples in each cycle for this method: too fast"
     INTERRUPTED = (
         "interrupted",
-        "the samples ended before there were enough: the module left OPERATIONAL",
+        "the samples ended before there were enough: the module left OPERATIONAL, or its input changed",
     )
     FAILED = "failed", "the computation itself failed"
     CHANGED = "changed", "the tracks change during the measurement"

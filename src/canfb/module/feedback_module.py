@@ -283,10 +283,13 @@ class FeedbackModule(NodeDevice):
         if new is NmtState.OPERATIONAL:
             self._sampling.resume(now)
         elif old is NmtState.OPERATIONAL:
-            self._sampling.pause(now)
-            self._recorder.stop()
-            self._calibrating.interrupted()
+            self._pause(now)
             self._operating_time.keep(now)
+
+    def _pause(self, now: float) -> None:
+        self._sampling.pause(now)
+        self._recorder.stop()
+        self._calibrating.interrupted()
 
     def reset_done(self, communication_only: bool, now: float) -> None:
         """The position is forgotten unless ``communication_only``."""
@@ -295,12 +298,11 @@ class FeedbackModule(NodeDevice):
         self._publishing.reset_alarms()
         self._sampling.forget_interval()
         self._declare_jitter()
-        if communication_only:
-            if self._publishing.profile.alarms.value & ALARM_POSITION:
-                self._publishing.outdated(now)  # an error that persists is told again
-            return
-        for reset in self._resets:
-            reset()
+        if not communication_only:
+            for reset in self._resets:
+                reset()
+        elif self._publishing.profile.alarms.value & ALARM_POSITION:
+            self._publishing.outdated(now)  # an error that persists is told again
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
         """Bit 12 of 6503h while there are ``faults``, and EMCY 6310h."""
@@ -317,7 +319,7 @@ class FeedbackModule(NodeDevice):
         self._second.configure()
         self._publishing.configured()
         if other_input and self._pairing.sampled and self.state is NmtState.OPERATIONAL:
-            self._sampling.pause(self.now)
+            self._pause(self.now)
             self._sampling.resume(self.now)
 
 

@@ -62,8 +62,8 @@ class SampleObservers:
 class Recorder:
     """Records raw counts, one pair for each sampling interval.
 
-    It ends when the memory is full (2050:02 = 2050:05), or when the module leaves OPERATIONAL, because time
-    would be lost. 2050:03 gives the samples so far at any time.
+    It ends when the memory is full (2050:02 = 2050:05), or the module leaves OPERATIONAL or its input
+    changes: time would be lost. 2050:03 gives the samples so far at any time.
     """
 
     def __init__(
