@@ -30,7 +30,7 @@ def decoded(data: bytes) -> str:
 
 
 def as_utf8(text: str) -> str:
-    """Escape what is no UTF-8, as in file names."""
+    """Escape what is no UTF-8."""
     return text.encode(errors="backslashreplace").decode()
 
 

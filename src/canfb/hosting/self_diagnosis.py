@@ -9,7 +9,6 @@ import contextlib
 import dataclasses
 import json
 import logging
-import math
 import os
 import platform
 import re
@@ -35,6 +34,7 @@ from canfb.errors import reason
 from canfb.files import as_utf8, replacing
 from canfb.hosting.event_log import title_of
 from canfb.hosting.state_files import SWITCH_S, small_stack
+from canfb.rows import finite
 
 PACKAGES = ("canfb", "python-can", "canopen", "numpy", "PyYAML", "rich", "pylibiio", "uvloop")
 MOST_LINES = 500
@@ -71,7 +71,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, (bytes, bytearray)):
         return value.hex()
     if value is None or isinstance(value, (int, float)):
-        return None if isinstance(value, float) and not math.isfinite(value) else value
+        return finite(value) if isinstance(value, float) else value
     return IN_ADDRESS.sub(f"//{HIDDEN}@", str(value))
 
 

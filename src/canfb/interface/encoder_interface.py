@@ -107,7 +107,7 @@ class SyncSampler:
         newest_s = min(received_s + lead_s - EARLIER_PART * period_s, received_s)
         before, self._taken_s, self.newest_s = self._taken_s, newest_s, newest_s
         passed_s = period_s if before is None else newest_s - before
-        if passed_s <= TOGETHER * period_s:
+        if passed_s <= TOGETHER * period_s:  # SYNCs too near together for the grid
             return None
         is_early = passed_s <= period_s - period_s / self._per_sync  # while the grid is not known
         apart_s = (passed_s if is_early else period_s) / self._per_sync

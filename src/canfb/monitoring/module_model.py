@@ -29,7 +29,7 @@ class SyncMeter:
 
     def __init__(self) -> None:
         self._syncs = Syncs()
-        self._places: deque[tuple[int, float]] = deque(maxlen=SYNCS)
+        self._places: deque[tuple[float, int]] = deque(maxlen=SYNCS)
         self._last_s: float | None = None
         self._count = 0
 
@@ -44,7 +44,7 @@ class SyncMeter:
         if verdict.doubt:  # another rate or phase
             places.clear()
         if self._syncs.grid.period and not verdict.extra:
-            places.append((places[-1][0] + 1 + verdict.lost if places else 0, time_s))
+            places.append((time_s, places[-1][1] + 1 + verdict.lost if places else 0))
 
     @property
     def _longest_s(self) -> float:
@@ -55,15 +55,19 @@ class SyncMeter:
         if self._last_s is None:
             return SyncSnapshot()
         silent_s = max(0.0, now - self._last_s)
-        known = [*self._places]
-        recent = [one for one in known[:-LEAST] if now - one[1] <= OLDEST_S] + known[-LEAST:]
+        recent = _recent([*self._places], now, OLDEST_S)
         if len(recent) < LEAST or silent_s > self._longest_s:
             return SyncSnapshot(silent_s=silent_s, count=self._count)
-        places, times = zip(*recent, strict=True)
+        times, places = zip(*recent, strict=True)
         line = statistics.linear_regression(places, times)
-        errors = [time - line.intercept - place * line.slope for place, time in recent]
+        errors = [time - line.intercept - place * line.slope for time, place in recent]
         rms_s = math.sqrt(sum(error * error for error in errors) / len(errors))
         return SyncSnapshot(1.0 / line.slope, rms_s, max(map(abs, errors)), silent_s, self._count)
+
+
+def _recent(known: list[tuple[float, int]], now: float, most_s: float) -> list[tuple[float, int]]:
+    # By their time, LEAST of them at least.
+    return [one for one in known[:-LEAST] if now - one[0] <= most_s] + known[-LEAST:]
 
 
 class Bins:
@@ -237,12 +241,11 @@ class ModuleModel:
         positions, per_revolution = [*self._positions], self.layout.units_per_revolution
         if len(positions) < 2 or not per_revolution or now - positions[-1][0] > FRESH_S:
             return None
-        old = [one for one in positions[:-LEAST] if positions[-1][0] - one[0] > SPEED_S]
         total = self.layout.total_range or WORDS
-        half = total // 2
+        half, recent = total // 2, _recent(positions, positions[-1][0], SPEED_S)
         steps = sorted(
             (((after - before + half) % total - half) / (after_s - before_s), after_s - before_s)
-            for (before_s, before), (after_s, after) in pairwise(positions[len(old) :])
+            for (before_s, before), (after_s, after) in pairwise(recent)
         )
         # A preset is the fastest step one way, and moves nothing.
         speeds, times_s = zip(*(steps[1:-1] or steps), strict=True)

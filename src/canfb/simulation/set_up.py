@@ -192,7 +192,7 @@ def of_recording(
 
 
 def rounded_up(rate_hz: float) -> str:
-    """Not below this one, above 0, in two or three figures."""
+    """A rate not below this one, which is above 0, in two or three figures."""
     unit = 10.0 ** (math.floor(math.log10(rate_hz)) - 1)
     return f"{math.ceil(rate_hz / unit - 1e-9) * unit:g}"
 
