@@ -48,7 +48,7 @@ def test_a_whole_number_that_is_no_float() -> None:
     with pytest.raises(ValueError, match="delay_s must be a finite number"):
         Conditioning(delay_s=int(HUGE))
     source = f"{{kind: recording, file: a.csv, mid_scale: {HUGE}}}"
-    with pytest.raises(ConfigError, match=r":3: source: mid_scale must be a number"):
+    with pytest.raises(ConfigError, match=r":3: source: mid_scale must be a finite number"):
         parse_config(f"modules:\n- node_id: 1\n  source: {source}\n")
 
 

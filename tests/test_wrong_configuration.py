@@ -52,6 +52,7 @@ WRONG = {
     MODULE + "  conditioning: {sine_gain: yes}\n": "3: sine_gain must be a finite number, not True",
     MODULE + "  autostart: 1\n": "3: autostart must be true or false, not 1",
     MODULE + "  state_dir: 4\n": "3: state_dir must be text, not 4",
+    MODULE + '  state_dir: "a\\ud83d"\n': r"3: state_dir must be text, not 'a\ud83d'",
     MODULE + "  samples_per_sync: 2\n  source: {kind: iio, device: x, scans_per_sync: 5}\n":
         "3: modules[0]: samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not 5",
     MODULE + "  adapt: 3\n": "3: modules[0]: adapt must be true, false or a mapping with its bounds, not 3",

@@ -23,7 +23,7 @@ def number_in(name: str, value: object, low: float, high: float) -> None:
 def number(name: str, value: object) -> None:
     """ValueError unless ``value`` is a finite number."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
-        raise ValueError(f"{name} must be a number, not {value!r}")
+        raise ValueError(f"{name} must be a finite number, not {value!r}")
 
 
 def flag(name: str, value: object) -> None:
@@ -33,9 +33,14 @@ def flag(name: str, value: object) -> None:
 
 
 def text(name: str, value: object) -> None:
-    """ValueError unless ``value`` is a string, not blank, without a NUL."""
-    if not isinstance(value, str) or not value.strip() or "\0" in value:
+    """ValueError unless ``value`` is a string, not blank, without a NUL, which can be the name of a file."""
+    if not isinstance(value, str) or not value.strip() or any(map(_is_never_written, value)):
         raise ValueError(f"{name} must be text, not {value!r}")
+
+
+def _is_never_written(one: str) -> bool:
+    # U+DC80..U+DCFF stand for bytes of a name that is not UTF-8.
+    return one == "\0" or "\ud800" <= one < "\udc80" or "\udcff" < one < "\ue000"
 
 
 KINDS: dict[type, Callable[[str, object], None]] = {bool: flag, str: text, float: number}

@@ -89,8 +89,8 @@ WRONG = {
     "{kind: iio, device: x, sine: voltage1}": "source: cosine must differ from sine",
     "{kind: iio, device: x, uri: 'ip:ä'}": "source: uri must be such as",
     "{kind: iio, device: x, trigger: ''}": "source: trigger must be text",
-    "{kind: iio, device: x, mid_scale: middle}": "source: mid_scale must be a number, not 'middle'",
-    "{kind: iio, device: x, mid_scale: .nan}": "source: mid_scale must be a number",
+    "{kind: iio, device: x, mid_scale: middle}": "source: mid_scale must be a finite number, not 'middle'",
+    "{kind: iio, device: x, mid_scale: .nan}": "source: mid_scale must be a finite number",
     "{kind: iio, device: x, rate_hz: 0}": "source: rate_hz must be a whole number 1..10000000, not 0",
     "{kind: iio, device: x, time_stamps: 1}": "source: time_stamps must be true or false, not 1",
     "{kind: iio, device: x, buffer_scans: 1}": "source: buffer_scans must be a whole number 2..65536",
@@ -361,7 +361,7 @@ def test_a_new_kind_is_one_file_that_the_registry_finds_and_a_module_runs_on() -
 def test_its_values_are_asked_by_the_check(tmp_path: Path, command: Command) -> None:
     path = yaml_file(tmp_path, configuration("      steps: [1, two]\n"))
     said = command("config check", path, code=2).err
-    assert said == f"canfb: {path}:6: source: steps must be a number, not 'two'\n"
+    assert said == f"canfb: {path}:6: source: steps must be a finite number, not 'two'\n"
 
 
 MOTION = Motion((Ramp(0.1, 0.0), Ramp(1.0, -700.0), Ramp(2.0, 900.0)), (Ripple(20.0, 3.0),))

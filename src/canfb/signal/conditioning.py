@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from canfb.checks import LARGEST
+from canfb.checks import within
 from canfb.signal.blocks import Scratch
 from canfb.signal.phase import AnyArray, FloatArray
 
@@ -80,9 +80,7 @@ class Conditioning:
     harmonic_5_backward_imaginary: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in self.words.items():
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
-                raise ValueError(f"{name} must be a finite number, not {value!r}")
+        within(self, **dict.fromkeys(self.words, float))
         for name in ("sine_gain", "cosine_gain"):
             if not 1e-3 <= abs(getattr(self, name)) <= 1e3:
                 raise ValueError(f"{name} is out of range: its size must be 0.001 to 1000")
