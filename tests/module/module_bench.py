@@ -39,8 +39,10 @@ class Bench:
         self.bus.attach(self.module)
         self.interval_s = 1e-3
 
-    def start(self) -> None:
-        self.remote.nmt.state = "OPERATIONAL"
+    def start(self, *before: str) -> None:
+        """After these other NMT states, or resets."""
+        for state in (*before, "OPERATIONAL"):
+            self.remote.nmt.state = state
 
     def save(self, subindex: int = 1) -> None:
         self.sdo.download(0x1010, subindex, b"save")

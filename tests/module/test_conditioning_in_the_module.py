@@ -158,8 +158,7 @@ def test_samples_that_nobody_confirms_are_not_learned() -> None:
     sectors = one.module.chain.adaptation
     one.turn(200, 0.0)
     one.turn(3)
-    one.remote.nmt.state = "PRE-OPERATIONAL"
-    one.remote.nmt.state = "OPERATIONAL"
+    one.start("PRE-OPERATIONAL")
     one.sync()
     one.counts(*one.pair())
     assert not one.module.feedback or not one.module.feedback.valid

@@ -79,8 +79,7 @@ def test_another_state_has_its_reason_unless_it_was_commanded() -> None:
 def test_a_start_is_told_in_its_order() -> None:
     machine = Machine()
     machine.events.clear()
-    machine.remote.nmt.state = "RESET"
-    machine.start()
+    machine.start("RESET")
     machine.run(200)
     first, position = EventKind.FIRST_SAMPLE, EventKind.POSITION
     kinds = [event.kind for event in machine.events]
@@ -217,11 +216,9 @@ def test_an_interface_that_falls_silent_loses_the_position_once_and_is_named(ben
     assert lost[2:] == bytes((LossCause.COASTED, 4, 0))
     assert (bench.sdo[0x2012][5].raw, bench.sdo[0x6503].raw, bench.sdo[0x1001].raw) == (1, 1, 0x21)
     assert not bench.at(2.5)[1] & StatusBit.VALID
-    bench.remote.nmt.state = "PRE-OPERATIONAL"
-    bench.start()
+    bench.start("PRE-OPERATIONAL")
     assert {bench.at(2.5)[1] for _ in range(2 * STILL_SAMPLES)} == {StatusBit.LOST}, "it turned"
-    bench.remote.nmt.state = "RESET"
-    bench.start()
+    bench.start("RESET")
     assert bench.at(2.5)[1] == StatusBit.VALID
     assert loss(bench) == [0] * 6
     assert bench.emergencies() == [0x7300, 0x7300], "not valid, then lost"
@@ -234,8 +231,7 @@ def test_a_loss_survives_the_restart_that_ends_it(bench: Bench) -> None:
     for _ in range(6):
         bench.sync()
     bench.at(0.3)
-    bench.remote.nmt.state = "PRE-OPERATIONAL"
-    bench.start()
+    bench.start("PRE-OPERATIONAL")
     assert bench.at(0.3)[1] & StatusBit.VALID
     assert loss(bench)[0] == LossCause.COASTED
 
@@ -248,6 +244,13 @@ def test_what_was_wrong_is_kept_but_not_what_was_wrong_before_the_last_valid_pos
     bench.follow(0.125, 50, 60, amplitude=100.0)
     cause, bad, *_, faults = loss(bench)
     assert (cause, bad, faults) == (LossCause.COASTED, 4, StatusBit.AMPLITUDE)
+
+
+def test_the_speed_of_a_loss_is_that_of_the_machine_and_not_of_a_jump(bench: Bench) -> None:
+    bench.follow(0.125, 0, 20)
+    bench.follow(0.125, 23, 33)
+    cause, *_, speed, _ = loss(bench)
+    assert (cause, speed) == (LossCause.JUMP, pytest.approx(0.125 * 65536, rel=0.01))
 
 
 def test_a_machine_that_turns_in_a_pause_is_named(bench: Bench) -> None:

@@ -24,8 +24,7 @@ def test_after_a_pause_no_position_is_valid_before_a_sample_came(bench: Bench) -
     bench.sync()
     bench.counts(0, 1500)
     assert bench.position(bench.sync())[1] == StatusBit.VALID
-    bench.remote.nmt.state = "PRE-OPERATIONAL"
-    bench.start()
+    bench.start("PRE-OPERATIONAL")
     for _ in range(3):
         assert bench.position(bench.sync())[1] == 0
     for _ in range(4):  # it may have begun to move

@@ -61,8 +61,7 @@ def test_it_records_from_a_start_to_a_stop_a_full_memory_or_a_pause(
             command(bench, step)
             records, kept = step == START, [] if step == START else kept
         else:
-            bench.remote.nmt.state = step
-            bench.start()
+            bench.start(step)
             records = False
         assert recorded(bench) == kept
         assert bench.sdo[0x2050][1].raw == records

@@ -347,8 +347,7 @@ def test_a_module_that_stays_operational_without_a_bus_has_lost_its_position() -
     machine.cycle(9)
     machine.module.bus_back(machine.bus.now)
     assert all(one.status & LOST and not one.valid for one in machine.run(10, 40))
-    machine.remote.nmt.state = "PRE-OPERATIONAL"
-    machine.start()
+    machine.start("PRE-OPERATIONAL")
     assert machine.run(40, 43)[-1].status == LOST, "it turns"
 
 

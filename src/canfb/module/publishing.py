@@ -60,7 +60,7 @@ class Publishing:
         chain.adaptation.on_limit = self.warnings.look_again
         limits.on_applied = self.warnings.limits_changed
         self.prediction = Prediction(dictionary, self.profile, chain, interval)
-        self.loss = LastLoss(dictionary, limits, chain, lambda: node.now)
+        self.loss = LastLoss(dictionary, limits, chain, self.latest, lambda: node.now)
         self.objects = Publication(dictionary, interval, chain, parts, limits, self.latest, self.loss)
         self.alarm = PositionAlarm(node)
         self._chain, self._tracks = chain, chain.tracks

@@ -63,9 +63,14 @@ class LastLoss:
     """
 
     def __init__(
-        self, dictionary: Dictionary, limits: Limits, chain: SignalChain, now: Callable[[], float]
+        self,
+        dictionary: Dictionary,
+        limits: Limits,
+        chain: SignalChain,
+        latest: Latest,
+        now: Callable[[], float],
     ) -> None:
-        self._limits, self._chain, self._now = limits, chain, now
+        self._limits, self._chain, self._latest, self._now = limits, chain, latest, now
         dictionary.read_live(
             {
                 od.COUNTER_LOSS_CAUSE: lambda: int(self.cause),
@@ -107,7 +112,8 @@ class LastLoss:
         self._lost_s = self._now()
         self._residual = _sixteen_bits(feedback.residual, U32)
         self._limit = _sixteen_bits(self._limits.in_force.residual_limit, U32)
-        self._speed = _sixteen_bits(abs(feedback.speed_cycles), U32)
+        # The speed in a sample that contradicts has its error in it.
+        self._speed = _sixteen_bits(abs((self._latest.valid or feedback).speed_cycles), U32)
 
     def _since_ms(self) -> int:
         age_s = self._now() - self._lost_s if self.cause else 0.0
