@@ -277,7 +277,6 @@ class LossCause(CodeWithText):
     PAUSE = 7, "the machine moved during a pause"
     START = 8, "the samples contradict the speed assumed at the start"
     REFERENCE = 9, "coarse track or zero pulse contradicts the cycle count"
-    CONFIGURATION = 10, "the configuration changed while the position was in doubt"
 
 
 def loss_cause(number: float | None) -> LossCause | None:

@@ -26,12 +26,13 @@ from canfb.simulation.encoder import Motion
 from canfb.view.module_view import limit_settings
 from commands import Command, yaml_file
 from commissioning_kit import CYCLES, INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, lose, random_encoder, running
-from documentation import blocks, page
+from documentation import ROOT, blocks, page
 from folding import each
 from node_commands import Commands, abort, between, place_of
 
 NODE = hex(MODULE_ID)
 PAGE = page("troubleshooting")
+SIGNAL = "".join(one.read_text(encoding="utf-8") for one in (ROOT / "src/canfb/signal").rglob("*.py"))
 
 
 def test_a_module_that_has_lost_nothing(canfb: Commands) -> None:
@@ -210,7 +211,8 @@ def test_each_cause_has_an_advice(cause: LossCause) -> None:
         assert said.count("canfb calibrate --check") == (cause in MOTION and bit > 0)
         assert said.count("phase errors: canfb calibrate") == (cause in MOTION and bit == 0)
     assert cause.text in "\n".join(lost.lines())
-    assert cause.text in PAGE
+    assert f"| {cause.value} | {cause.text}" in PAGE
+    assert f"LossCause.{cause.name}" in SIGNAL, "one that nothing gives"
 
 
 def test_ages() -> None:

@@ -76,7 +76,7 @@ ADVICE: tuple[tuple[tuple[LossCause, ...], bool | None, str], ...] = (
     (
         (LossCause.PAUSE,),
         None,
-        "a machine that stands still before NMT stop or preop, until after NMT start",
+        "a machine that stands still before NMT stop, preop or another RPDO mapping, until samples come",
     ),
     (
         (LossCause.START,),
@@ -88,7 +88,6 @@ ADVICE: tuple[tuple[tuple[LossCause, ...], bool | None, str], ...] = (
         None,
         "wiring and scale of coarse track and zero pulse: one contradicted the count (2010:05)",
     ),
-    ((LossCause.CONFIGURATION,), None, "limits and PDO mapping written while the position is valid"),
 )
 SAME = 0.9  # a limit of now is that of then: measured noise narrows it a little (2010:09)
 
