@@ -58,6 +58,10 @@ def test_the_position_pdo_has_its_objects_by_name_with_units() -> None:
         (0x710, b"\x85", "heartbeat", 16, "heartbeat of 16: OPERATIONAL"),
         (0x620, b"\x40\x11\x20\x01" + bytes(4), "sdo request", 32, "SDO request to 32, 2011:01"),
         (0x5A0, b"\x80\x11\x20\x01" + bytes(4), "sdo response", 32, "SDO response of 32, 2011:01, abort"),
+        (0x620, b"\x60" + bytes(7), "sdo request", 32, "SDO request to 32"),  # segments, and those of a block
+        (0x5A0, b"\x30" + bytes(7), "sdo response", 32, "SDO response of 32"),
+        (0x620, b"\x81segment", "sdo request", 32, "SDO request to 32"),
+        (0x5A0, b"\x70segment", "sdo response", 32, "SDO response of 32"),
         (0x7E5, bytes(8), "lss", None, "LSS, master"),
         (0x285, bytes(2), "", 5, "PDO, TPDO2 of 5 by its CAN-ID"),
         (0x1A0, bytes(3), "tpdo", 32, "TPDO1 of 32: 3 bytes, 8 are mapped"),

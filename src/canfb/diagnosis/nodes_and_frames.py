@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -158,7 +158,11 @@ FIXED = {
     0x7E5: ("lss", None, "LSS, master"),
     0x7E4: ("lss", None, "LSS, slave"),
 }
-SDO = {cob.SDO_REQUEST: ("SDO request", "to"), cob.SDO_RESPONSE: ("SDO response", "of")}
+# And the first bytes behind which the object stands: segments have their data there (CiA 301, 7.2.4.3).
+SDO = {
+    cob.SDO_REQUEST: ("SDO request", "to", {*range(0x20, 0x30), 0x40, 0x80}),
+    cob.SDO_RESPONSE: ("SDO response", "of", {*range(0x40, 0x50), 0x60, 0x80}),
+}
 COMMANDS = {int(one): one.name.lower().replace("_", " ") for one in NmtCommand}
 STATES: dict[int | None, str] = {int(one): one.name.replace("_", "-") for one in NmtState}
 
@@ -262,8 +266,8 @@ def _service(frame: Frame) -> tuple[str, int | None, str]:
     if function == cob.ERROR_CONTROL and node and data:
         return "heartbeat", node, _heartbeat(node, data[0] & 0x7F)
     if function in SDO and node:
-        kind, way = SDO[function]
-        return kind.lower(), node, f"{kind} {way} {node}{_sdo(data)}"
+        kind, way, initiating = SDO[function]
+        return kind.lower(), node, f"{kind} {way} {node}{_sdo(data, initiating)}"
     if function in cob.TPDOS:
         return "", node or None, f"PDO, TPDO{cob.TPDOS.index(function) + 1} of {node} by its CAN-ID"
     return FIXED.get(can_id, ("", None, ""))
@@ -289,7 +293,7 @@ def _emergency(node: int, data: bytes) -> str:
     )
 
 
-def _sdo(data: bytes) -> str:
-    initiates = len(data) == 8 and data[0] >> 5 in (1, 2, 3, 4)
+def _sdo(data: bytes, initiating: Container[int]) -> str:
+    initiates = len(data) == 8 and data[0] in initiating
     place = f", {struct.unpack_from('<H', data, 1)[0]:04X}:{data[3]:02X}" if initiates else ""
     return f"{place}, abort" if data[:1] == b"\x80" else place
