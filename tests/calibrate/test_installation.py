@@ -30,10 +30,11 @@ from commissioning_kit import Bench, bench_with, random_encoder, recorded
 from node_commands import ANSWER, between, place_of
 
 AS_BEFORE = "the previous table and conditioning are active in module 32 (20h)"
+Installs = Callable[..., Installation]
 
 
 @pytest.fixture
-def installed(measured: Measurement, fresh: TrackSamples, settings: Settings) -> Callable[..., Installation]:
+def installed(measured: Measurement, fresh: TrackSamples, settings: Settings) -> Installs:
     """Installs what was measured in the module of a bench."""
 
     def run(bench: Bench, guard: Guard | None = None, **options: Any) -> Installation:
@@ -44,7 +45,7 @@ def installed(measured: Measurement, fresh: TrackSamples, settings: Settings) ->
 
 
 def test_the_new_set_is_in_force_proven_and_saved(
-    installed: Callable[..., Installation], measured: Measurement, old: Correction
+    installed: Installs, measured: Measurement, old: Correction
 ) -> None:
     store = MemoryStore()
     bench = bench_with(old, store=store)
@@ -63,7 +64,7 @@ def test_the_new_set_is_in_force_proven_and_saved(
 
 
 def test_what_is_not_saved_is_active_and_said(
-    installed: Callable[..., Installation], measured: Measurement, old: Correction
+    installed: Installs, measured: Measurement, old: Correction
 ) -> None:
     store = MemoryStore()
     bench = bench_with(old, store=store)
@@ -90,9 +91,7 @@ def lying(bench: Bench, place: tuple[int, int], times: int) -> None:
     between(bench, spoil)
 
 
-def test_a_wrong_crc_of_the_staged_table_activates_nothing(
-    installed: Callable[..., Installation], old: Correction
-) -> None:
+def test_a_wrong_crc_of_the_staged_table_activates_nothing(installed: Installs, old: Correction) -> None:
     bench = bench_with(old)
     lying(bench, (0x2020, 2), 1)
     with pytest.raises(CommissioningError, match="CRC of the staged table is 04030201h") as error:
@@ -102,9 +101,7 @@ def test_a_wrong_crc_of_the_staged_table_activates_nothing(
 
 
 @pytest.mark.parametrize("number", [1, 12, 40, 55])
-def test_an_interruption_leaves_the_old_set(
-    number: int, installed: Callable[..., Installation], old: Correction
-) -> None:
+def test_an_interruption_leaves_the_old_set(number: int, installed: Installs, old: Correction) -> None:
     bench = bench_with(old)
     guard, said, requests = Guard(), list[str](), list[Frame]()
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections import Counter
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -222,7 +222,7 @@ class FrameWords:
         known = self._pdos.get(frame.can_id)
         if known is not None and not frame.rtr:
             return self._decoded(frame, *known)
-        kind, node, text = _service(frame)
+        kind, node, text = _service(frame, {node for _, node, _ in self._pdos.values()})
         return DecodedFrame(frame, kind, node, text, {})
 
     def _decoded(self, frame: Frame, name: str, node: int, pdo: Pdo) -> DecodedFrame:
@@ -251,7 +251,7 @@ def learn_by_sdo(words: FrameWords, master: Master, nodes: Iterable[int]) -> set
     return known
 
 
-def _service(frame: Frame) -> tuple[str, int | None, str]:
+def _service(frame: Frame, modules: Container[int]) -> tuple[str, int | None, str]:
     can_id, data = frame.can_id, frame.data
     node = can_id & 0x7F
     function = can_id - node
@@ -262,14 +262,14 @@ def _service(frame: Frame) -> tuple[str, int | None, str]:
     if can_id == cob.SYNC:
         return "sync", None, f"SYNC, counter {data[0]}" if data else "SYNC"
     if function == cob.EMERGENCY and len(data) == EMERGENCY.size:
-        return "emcy", node, _emergency(node, data)
+        return "emcy", node, _emergency(node, data, od.EMERGENCY_TEXTS if node in modules else {})
     if function == cob.ERROR_CONTROL and node and data:
         return "heartbeat", node, _heartbeat(node, data[0] & 0x7F)
     if function in SDO and node:
         kind, way, initiating = SDO[function]
         return kind.lower(), node, f"{kind} {way} {node}{_sdo(data, initiating)}"
-    if function in cob.TPDOS:
-        return "", node or None, f"PDO, TPDO{cob.TPDOS.index(function) + 1} of {node} by its CAN-ID"
+    if function in cob.TPDOS and node:
+        return "", node, f"PDO, TPDO{cob.TPDOS.index(function) + 1} of {node} by its CAN-ID"
     return FIXED.get(can_id, ("", None, ""))
 
 
@@ -284,13 +284,11 @@ def _heartbeat(node: int, state: int) -> str:
     return f"heartbeat of {node}: {STATES.get(state, f'state {state}')}" if state else f"boot-up of {node}"
 
 
-def _emergency(node: int, data: bytes) -> str:
+def _emergency(node: int, data: bytes, own: Mapping[int, str]) -> str:
     code, register, detail = EMERGENCY.unpack(data)
-    cause = od.loss_cause(detail[2]) if code == EmergencyCode.SENSOR else None
+    cause = od.loss_cause(detail[2]) if own and code == EmergencyCode.SENSOR else None
     lost = "" if cause is None else f"; lost: {cause.text}"
-    return (
-        f"EMCY of {node}: {code:04X}h {emergency_text(code, od.EMERGENCY_TEXTS)}, 1001h {register:02X}h{lost}"
-    )
+    return f"EMCY of {node}: {code:04X}h {emergency_text(code, own)}, 1001h {register:02X}h{lost}"
 
 
 def _sdo(data: bytes, initiating: Container[int]) -> str:
