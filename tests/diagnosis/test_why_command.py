@@ -193,6 +193,7 @@ def test_2010_03_counts_intervals_of_sync() -> None:
     loss = Loss(LossCause.COASTED, 3.0, 3, 0.2, 0.333, 1.2, 0)
     several = replace(with_limits(samples_per_sync=3), loss=loss, sample_hz=300.0)
     assert several.would_have_kept()[0].startswith("2010:03 bridges 24 samples, 80 ms")
+    assert several.happened()[1] == "3 samples in a row missed or bad; 2010:03 bridges 24"
 
 
 def test_more_coasting_is_not_proposed_where_it_cannot_help() -> None:

@@ -69,6 +69,10 @@ class ModuleMachine(RuleBasedStateMachine):
             self._sample()
         self.count = round(self.position - self.last.position / UNITS)  # cycles where it counts from zero
 
+    def _sync(self, sine: int, cosine: int) -> None:
+        self._send(SYNC, b"", 0.0008)
+        self._send(ADC_PDO, struct.pack("<hh", sine, cosine), 0.0002)
+
     def _send(self, can_id: int, data: bytes, after_s: float = 0.0) -> list[Frame]:
         self.now += after_s
         sent: list[Frame] = []
@@ -104,18 +108,16 @@ class ModuleMachine(RuleBasedStateMachine):
         """One SYNC and its sample; on an axis of the circle both tracks can clip."""
         self._step()
         self.doubled = False
-        self._send(SYNC, b"", 0.0008)
         shown = round(4.0 * self.position) / 4.0 if axis else self.position + shift
         pair = self._counts(shown, amplitude)
-        self._send(ADC_PDO, struct.pack("<hh", *pair), 0.0002)
+        self._sync(*pair)
         self._compare(self.model.sample(*pair))
 
     def _invalid(self) -> None:
         """The interface flags its sample, 2000:06."""
         self._write(*FLAGS, 2)
         self._step()
-        self._send(SYNC, b"", 0.0008)
-        self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)), 0.0002)
+        self._sync(*self._counts(self.position))
         self.doubled = False
         self._compare(self.model.invalid())
         self._write(*FLAGS, 0)
@@ -126,8 +128,7 @@ class ModuleMachine(RuleBasedStateMachine):
         while standing < (STANDING if self.model.lost or self.model.motions or self.is_beyond else AT_REST):
             self._step()
             standing += self.speed == 0.0
-            self._send(SYNC, b"", 0.0008)
-            self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)), 0.0002)
+            self._sync(*self._counts(self.position))
         self.said = []
 
     def _reset(self) -> None:
@@ -264,8 +265,7 @@ class ModuleMachine(RuleBasedStateMachine):
         self._send(0x000, bytes([1, NODE]), 0.001)
         self.said = []
         for _ in range(CONFIRMED):
-            self._send(SYNC, b"", 0.0008)
-            self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)), 0.0002)
+            self._sync(*self._counts(self.position))
         said, self.said = self.said, []
         assert said[-1].status & Bit.VALID
         for one in said:
@@ -285,8 +285,7 @@ class ModuleMachine(RuleBasedStateMachine):
         self.said = []
         for _ in range(CONFIRMED):
             self._step()
-            self._send(SYNC, b"", 0.0008)
-            self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)), 0.0002)
+            self._sync(*self._counts(self.position))
         assert len(self.said) == CONFIRMED
         assert all(one.status & Bit.LOST and not one.status & Bit.VALID for one in self.said)
         self.is_beyond = True

@@ -61,6 +61,9 @@ class Bus:
             self.module.receive(Frame(frame.can_id, frame.data, timestamp=came), came)
         return self.module.feedback
 
+    def run(self, syncs: int) -> Feedback | None:
+        return [self.sync() for _ in range(syncs)][-1]
+
     def read(self, place: tuple[int, int]) -> float:
         return float(self.module.dictionary.entry(*place).current())
 
@@ -115,8 +118,7 @@ def test_a_1006h_that_is_wrong_is_not_the_interval_of_the_sample_times(said_us: 
 @each("times", [False, True])
 def test_speed_and_acceleration_are_those_of_the_machine(per_sync: int, times: bool) -> None:
     bus = Bus(samples_per_sync=per_sync, times=times)
-    for _ in range(227):  # the acceleration is constant between 10 and 40 ms of the move
-        bus.sync()
+    bus.run(227)  # the acceleration is constant between 10 and 40 ms of the move
     speed, acceleration = bus.read(od.FEEDBACK_VELOCITY), bus.read(od.FEEDBACK_ACCELERATION)
     newest_s = START_S + 226 * PERIOD_S - PERIOD_S / 16.0
     between_s = bus.source.machine_time(newest_s) - PERIOD_S / per_sync / 2.0
@@ -140,17 +142,18 @@ def test_the_mapping_says_how_many_samples_there_are() -> None:
 @pytest.mark.parametrize("lost_id", [0x190, 0x290])
 def test_a_sample_with_a_lost_pdo_is_missed_as_a_whole(lost_id: int) -> None:
     bus = Bus(samples_per_sync=2, max_acceleration_rad_s2=100.0)
-    for _ in range(150):
-        bus.sync()
+    bus.run(150)
     bus.deliver = lambda frame: frame.can_id != lost_id
     bus.sync()
     bus.deliver = lambda frame: True
-    for _ in range(20):
-        got = bus.sync()
+    got = bus.run(20)
     assert got is not None
     assert got.valid
     assert bus.counter(od.COUNTER_MISSED) == 1
     assert away(bus, got) == pytest.approx(round(away(bus, got)), abs=0.1)
+    bus.deliver = lambda frame: False
+    bus.run(10)
+    assert bus.counter(od.COUNTER_LOSS_BAD) == 2 * 4, "2010:03 is 3 SYNCs: the fourth is too many"
 
 
 def test_without_times_and_with_jitter_it_is_never_wrong() -> None:

@@ -24,7 +24,7 @@ from canfb.monitoring.layout import NEEDED, Origin, assumed_layout, known_layout
 from canfb.monitoring.lines import residual_words, sync_words
 from canfb.monitoring.module_model import Bins, SyncMeter
 from canfb.monitoring.snapshot import ModuleSnapshot, NodeSnapshot
-from canfb.view.module_view import Read
+from canfb.view.module_view import values_of
 from drawing import examples
 from folding import each
 from monitored_network import BIT_RATE, INTERFACE, NODE, MonitoredNetwork
@@ -33,16 +33,6 @@ from monitored_network import BIT_RATE, INTERFACE, NODE, MonitoredNetwork
 @pytest.fixture(scope="module")
 def turning() -> MonitoredNetwork:
     return MonitoredNetwork().run(2.0)
-
-
-def reader_of(dictionary: Any, missing: od.Multiplexer | None = None) -> Read:
-    """Gives what the dictionary holds, but for one object."""
-
-    def read(place: od.Multiplexer) -> Any:
-        entry = dictionary.find(*place)
-        return None if entry is None or place == missing else entry.value
-
-    return read
 
 
 def nodes(network: MonitoredNetwork) -> dict[int, NodeSnapshot]:
@@ -157,7 +147,7 @@ def test_a_mapping_of_the_module_is_followed(operating: int) -> None:
         ((0x1802, 2), "B", 254), ((0x1802, 1), "I", 0x3F5),
     ):  # fmt: skip
         dictionary.entry(*place).download(struct.pack(f"<{layout}", value))
-    network.model.learn(layout_of(NODE, reader_of(dictionary), Origin.MODULE))
+    network.model.learn(layout_of(NODE, values_of(dictionary.find), Origin.MODULE))
     network.run(1.5)
     shown = network.module()
     assert 0x3F5 in {frame.can_id for frame, _ in network.frames}
@@ -174,7 +164,7 @@ def test_a_mapping_of_the_module_is_followed(operating: int) -> None:
 @pytest.mark.parametrize("missing", [None, *(place for places in NEEDED.values() for place in places)])
 def test_what_could_not_be_read_is_assumed(missing: od.Multiplexer | None) -> None:
     dictionary = MonitoredNetwork().modules[0].dictionary
-    read = reader_of(dictionary, missing)
+    read = values_of(lambda *place: None if place == missing else dictionary.find(*place))
     layout = layout_of(NODE, read, Origin.MODULE)
     assert layout.assumed == {name for name, places in NEEDED.items() if missing in places}
     for origin in (Origin.DEFAULT, Origin.CONFIGURATION, Origin.ASSUMED):
@@ -185,7 +175,7 @@ def test_a_limit_by_noise_that_was_not_read_is_assumed() -> None:
     network = MonitoredNetwork()
     network.modules[0].dictionary.entry(*od.SUPERVISION_NOISE_MARGIN).download(b"\x06")
     dictionary = network.modules[0].dictionary
-    network.model.learn(layout_of(NODE, reader_of(dictionary), Origin.MODULE))
+    network.model.learn(layout_of(NODE, values_of(dictionary.find), Origin.MODULE))
     network.run(0.2)
     assert network.module().assumed == ["residual_limit_cycles"]
     network.model.put(NODE, od.FEEDBACK_NOISE, 100, network.bus.now)

@@ -202,7 +202,7 @@ class LostPosition:
                 (
                     loss.bad_samples,
                     f"{loss.bad_samples} samples in a row missed or bad{f' ({faults})' if faults else ''}; "
-                    f"2010:03 bridges {self.limits.coast_samples}",
+                    f"2010:03 bridges {self.limits.bounds(0.0).coasting}",
                 ),
                 (faults and not loss.bad_samples, f"faults since the last valid position: {faults}"),
             ),
@@ -272,7 +272,7 @@ class LostPosition:
         )
 
     def _longer(self, loss: Loss) -> str:
-        bridged = self.limits.coast_samples * self.limits.samples_per_sync
+        bridged = self.limits.bounds(0.0).coasting
         time = f", {bridged / self.sample_hz * 1e3:.3g} ms" if self.sample_hz else ""
         text = f"2010:03 bridges {bridged} samples{time}"
         if self.limits.coast_samples >= MOST_IN_A_ROW:

@@ -56,7 +56,7 @@ class Latest:
 
 
 class LastLoss:
-    """Gives the last loss to 2012:10..16. All are 0 before there is one. ``now()`` is in seconds.
+    """Counts losses (2012:05), and gives the last to 2012:10..16, all 0 before. ``now()`` is in seconds.
 
     :meth:`follow` must see each sample that has a fault or whose position is lost, in order. ``bad_samples``
     were missed or bad in a row, with that of the loss; ``faults`` are all bits since the last valid sample.
@@ -71,6 +71,7 @@ class LastLoss:
         now: Callable[[], float],
     ) -> None:
         self._limits, self._chain, self._latest, self._now = limits, chain, latest, now
+        self._losses = dictionary.entry(*od.COUNTER_LOST)
         dictionary.read_live(
             {
                 od.COUNTER_LOSS_CAUSE: lambda: int(self.cause),
@@ -100,13 +101,16 @@ class LastLoss:
         self._before = number
         lost = bool(status & LOST)
         if not status & VALID:
-            self._bad = self._bad + 1 if status & BAD else 0
+            # A SYNC without a sample misses all of its samples.
+            samples = self._limits.in_force.samples_per_sync if math.isnan(feedback.sine) else 1
+            self._bad = self._bad + samples if status & BAD else 0
             self._row_faults |= status & FAULT_BITS
             if lost and not self.is_lost:
                 self._keep(feedback)
         self.is_lost = lost
 
     def _keep(self, feedback: Feedback) -> None:
+        self._losses.value += 1
         self.cause = self._chain.loss_cause
         self.bad_samples, self.faults = self._bad, self._row_faults
         self._lost_s = self._now()
@@ -150,7 +154,7 @@ class Publication:
                 od.COUNTER_ZERO_PULSES: lambda: source.pulses & U32,
             }
         )
-        self._status, self._losses = entry(*od.FEEDBACK_STATUS), entry(*od.COUNTER_LOST)
+        self._status = entry(*od.FEEDBACK_STATUS)
         self._counted = [(entry(*counter), bits) for counter, bits in od.COUNTED.items()]
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         self._interval, self._latest, self._loss = interval, latest, loss
@@ -168,15 +172,12 @@ class Publication:
     def count_between(self, feedback: Feedback) -> None:
         """A sample that is not published, as another one of its SYNC follows."""
         status = feedback.status
-        was_lost = self._loss.is_lost
-        if not (status & FLAGGED_BITS or was_lost):
+        if not (status & FLAGGED_BITS or self._loss.is_lost):
             return
         self._loss.follow(feedback)
         for counter, bits in self._counted:
             if status & bits:
                 counter.value = (counter.value + 1) & U32
-        if self._loss.is_lost and not was_lost:
-            self._losses.value += 1
 
     def calibrating(self, working: bool) -> None:
         self.work = CALIBRATING if working else 0
