@@ -39,14 +39,15 @@ def recorded(path: Path, plan: list[Any], seconds: float = 1.0, **options: Any) 
 def test_python_can_reads_what_was_recorded(tmp_path: Path, suffix: str) -> None:
     if suffix == ".mf4":
         pytest.importorskip("asammdf")
-    path, sent = tmp_path / f"bus.2026-11-29{suffix}", frames(20)
-    assert recorded(path, sent).frames == 20
+    path, plan = tmp_path / f"bus.2026-11-29{suffix}", frames(21)
+    plan[20] = message(0x720, timestamp=EPOCH_S + 0.02, is_remote_frame=True, channel=0)
+    sent = plan[:20] if suffix == ".trc" else plan
+    assert recorded(path, plan).frames == len(sent)
     shown = path.rename(tmp_path / f"bus{suffix}")  # python-can takes no other dot in the name of a .gz
-    with can.LogReader(shown) as reader:
-        read = list(reader)
+    read = [*can.LogReader(shown)]
     assert all(one.equals(other, None, False, False) for one, other in zip(read, sent, strict=True))
-    apart = [one.timestamp - read[0].timestamp for one in read]
-    assert apart == pytest.approx([n * 1e-3 for n in range(20)], abs=2e-6)
+    for n, one in enumerate(read):
+        assert one.timestamp - read[0].timestamp == pytest.approx(n * 1e-3, abs=2e-6)
 
 
 def test_a_full_file_is_renamed_and_nothing_is_lost(tmp_path: Path) -> None:

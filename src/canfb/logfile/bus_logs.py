@@ -418,12 +418,17 @@ class BusLog:
     def write(self, message: can.Message) -> None:
         with writing(self.path):
             self._writer.on_message_received(message)
-        self.frames += 1
-        self.error_frames += message.is_error_frame
+        # python-can writes no others into a .trc.
+        kept = self._suffix != ".trc" or not (
+            message.is_error_frame or message.is_remote_frame or message.is_fd
+        )
+        self.frames += kept
+        self.error_frames += kept and message.is_error_frame
 
     def take(self, frame: Frame) -> None:
-        can_id, data, rtr, stamp = frame
-        self.write(can.Message(stamp or 0.0, can_id, False, rtr, channel=0, data=data))
+        self.write(
+            can.Message(frame.timestamp or 0.0, frame.can_id, False, frame.rtr, channel=0, data=frame.data)
+        )
 
 
 @contextlib.contextmanager
