@@ -61,6 +61,7 @@ def test_the_position_pdo_has_its_objects_by_name_with_units() -> None:
         (0x620, b"\x60" + bytes(7), "sdo request", 32, "SDO request to 32"),  # segments, and those of a block
         (0x5A0, b"\x30" + bytes(7), "sdo response", 32, "SDO response of 32"),
         (0x620, b"\x81segment", "sdo request", 32, "SDO request to 32"),
+        (0x5A0, b"\x70segment", "sdo response", 32, "SDO response of 32"),
         (0x7E5, bytes(8), "lss", None, "LSS, master"),
         (0x280, bytes(2), "", None, ""),
         (0x285, bytes(2), "", 5, "PDO, TPDO2 of 5 by its CAN-ID"),
