@@ -342,12 +342,13 @@ def test_the_history_is_newest_first_and_bounded(bench: Bench) -> None:
     assert [bench.read(0x1003, sub) for sub in range(1, 5)] == [0x1005, 0x1004, 0x1003, 0x1002]
 
 
-def test_waiting_frames_are_bounded(bench: Bench) -> None:
-    bench.write(0x1015, 0, 1000, 2)
+def test_waiting_frames_are_bounded_and_another_inhibit_time_holds_for_them(bench: Bench) -> None:
+    bench.write(0x1015, 0, 0xFFFF, 2)
     for number in range(1, 21):
         bench.node.emergency(0x1000 + number, 0, now=0.0)
+    bench.write(0x1015, 0, 1000, 2)
     times, frames = zip(*bench.run(10.0), strict=True)
-    assert times == pytest.approx([0.1 * number for number in range(9)])
+    assert times == pytest.approx([0.1 * number for number in range(1, 9)])
     assert frames[-1].startswith("0A0#1410")
     assert bench.node.counters.lost_emergencies == 11
 

@@ -212,16 +212,12 @@ def test_an_impossible_default_mapping(tmp_path: Path, rows: list[sample_eds.Row
         Node(Dictionary.load(path, ID), ID)
 
 
-OFF_1, ON_1 = 0xC00001A0, 0x400001A0
-OFF_2, ON_2 = 0x800002A0, 0x000002A0
-
-
 def set_up(bench: Bench, *, kind: int, inhibit: int = 0, timer: int = 0, start: int = 0) -> Bench:
     """TPDO2 with remote frames allowed, one U32."""
-    assert bench.write(0x1801, 1, OFF_2, 4) == OK
+    assert bench.write(0x1801, 1, OFF[0x1801], 4) == OK
     for subindex, value, size in ((2, kind, 1), (3, inhibit, 2), (5, timer, 2), (6, start, 1)):
         assert bench.write(0x1801, subindex, value, size) == OK
-    assert bench.write(0x1801, 1, ON_2, 4) == OK
+    assert bench.write(0x1801, 1, OFF[0x1801] & ~FREE, 4) == OK
     return bench
 
 
@@ -255,11 +251,11 @@ def test_sampled_at_the_sync_and_sent_on_a_remote_frame(bench: Bench) -> None:
 
 
 def test_an_invalid_tpdo_is_silent_and_one_that_is_not_there_cannot_be_sent(bench: Bench) -> None:
-    bench.write(0x1800, 1, OFF_1, 4)
+    bench.write(0x1800, 1, OFF[0x1800], 4)
     bench.operational()
     bench.node.trigger_tpdo(1, 0.0)
     assert bench.tick() == []
-    bench.write(0x1800, 1, ON_1, 4)
+    bench.write(0x1800, 1, OFF[0x1800] & ~FREE, 4)
     bench.node.trigger_tpdo(1, 0.0)
     assert bench.tick() == ["1A0#0000000000000000"]
     with pytest.raises(ValueError, match=r"no TPDO 3.*\[1, 2\]"):

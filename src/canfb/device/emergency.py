@@ -34,6 +34,7 @@ class Emergency(Timed):
         self.reset()
         self._cob_id.on_check = self._check_cob_id
         self._cob_id.on_written = core.reactions.routes_changed
+        self._inhibit.on_written = lambda: self.tick(core.call.now)
         self._history_count.on_check = refuse_if(bool)  # 0 clears the history
         for entry in self._history:
             entry.on_read = functools.partial(self._remembered, entry)
@@ -46,7 +47,7 @@ class Emergency(Timed):
     def reset(self) -> None:
         self._active: dict[tuple[int, Hashable], int] = {}
         self._waiting: deque[bytes] = deque()
-        self._not_before = -NEVER
+        self._sent_s = -NEVER
         self.deadline = NEVER
         self._set_register()
         self._history_count.value = 0
@@ -85,20 +86,18 @@ class Emergency(Timed):
         can_id = self.can_id
         if can_id is None:
             self._waiting.clear()
-        while can_id is not None and self._waiting and self._allowed and now >= self._not_before:
+        while can_id is not None and self._waiting and self._allowed and now >= self._free_s:
             data = self._waiting.popleft()
             self._core.emit(Frame(can_id, data))
             code, register, detail = EMERGENCY.unpack(data)
             self._core.application.emergency_sent(code, register, detail, now)
-            inhibit = self._inhibit_s()
-            self._not_before = now + inhibit if inhibit else -NEVER
-        self.deadline = self._not_before if self._waiting and self._allowed else NEVER
+            self._sent_s = now
+        self.deadline = self._free_s if self._waiting and self._allowed else NEVER
 
     def sent(self, now: float) -> None:
         """An EMCY has left: 1015h counts from here."""
-        if self._inhibit.value:
-            self._not_before = now + self._inhibit_s()
-            self.tick(now)
+        self._sent_s = now
+        self.tick(now)
 
     def _send(self, code: int, manufacturer: bytes, now: float) -> None:
         if len(self._waiting) == _WAITING:
@@ -117,8 +116,9 @@ class Emergency(Timed):
             entry.value = value
         self._history_count.value = min(self._history_count.value + 1, len(self._history))
 
-    def _inhibit_s(self) -> float:
-        return float(self._inhibit.value / 10_000)
+    @property
+    def _free_s(self) -> float:
+        return self._sent_s + float(self._inhibit.value / 10_000)
 
     def _remembered(self, entry: Entry) -> int:
         if entry.subindex > self._history_count.value:
