@@ -214,10 +214,9 @@ def test_an_impossible_default_mapping(tmp_path: Path, rows: list[sample_eds.Row
 
 def set_up(bench: Bench, *, kind: int, inhibit: int = 0, timer: int = 0, start: int = 0) -> Bench:
     """TPDO2 with remote frames allowed, one U32."""
-    assert bench.write(0x1801, 1, OFF[0x1801], 4) == OK
-    for subindex, value, size in ((2, kind, 1), (3, inhibit, 2), (5, timer, 2), (6, start, 1)):
+    writes = [(1, OFF[0x1801], 4), (2, kind, 1), (3, inhibit, 2), (5, timer, 2), (6, start, 1)]
+    for subindex, value, size in [*writes, (1, OFF[0x1801] & ~FREE, 4)]:
         assert bench.write(0x1801, subindex, value, size) == OK
-    assert bench.write(0x1801, 1, OFF[0x1801] & ~FREE, 4) == OK
     return bench
 
 
@@ -268,16 +267,16 @@ class TimerModel:
     def __init__(self, inhibit_s: float, timer_s: float) -> None:
         self.inhibit_s, self.timer_s = inhibit_s, timer_s or inf
         self.sent: list[float] = []
-        self.waits, self.not_before, self.timer_end = False, -inf, self.timer_s
+        self.waits, self.last, self.timer_end = False, -inf, self.timer_s
 
     def ask(self, now: float) -> None:
-        self.waits = now < self.not_before
+        self.waits = now < self.last + self.inhibit_s
         if not self.waits:
             self.sent.append(now)
-            self.not_before, self.timer_end = now + self.inhibit_s, now + self.timer_s
+            self.last, self.timer_end = now if self.inhibit_s else self.last, now + self.timer_s
 
     def advance(self, end: float) -> None:
-        while (due := min(self.not_before if self.waits else inf, self.timer_end)) <= end:
+        while (due := min(self.last + self.inhibit_s if self.waits else inf, self.timer_end)) <= end:
             if due >= self.timer_end:
                 self.timer_end = inf
             self.ask(due)
@@ -290,12 +289,13 @@ def test_an_event_that_waits_for_a_sync_is_sent_once_by_another_type(bench: Benc
     assert len(bench.run(1.0)) == 1
 
 
-STEPS = st.lists(st.tuples(st.integers(0, 40), st.sampled_from(["event", "rtr", "timer", ""])), max_size=25)
+WHAT = ["event", "rtr", "timer", "", 0, 5, 30]  # numbers: another inhibit time, ms
+STEPS = st.lists(st.tuples(st.integers(0, 40), st.sampled_from(WHAT)), max_size=25)
 
 
 @given(st.integers(0, 30), st.integers(0, 50), STEPS)
 def test_any_events_are_sent_as_the_model_says(
-    sample_path: Path, inhibit_ms: int, timer_ms: int, steps: list[tuple[int, str]]
+    sample_path: Path, inhibit_ms: int, timer_ms: int, steps: list[tuple[int, str | int]]
 ) -> None:
     bench = Bench(Dictionary.load(sample_path, 32))
     bench.start()
@@ -304,7 +304,10 @@ def test_any_events_are_sent_as_the_model_says(
     for wait_ms, what in steps:
         seen += [at for at, _ in bench.run(wait_ms / 1000)]
         model.advance(bench.now)
-        if what == "timer":  # written again: it begins, and an event that waits still waits
+        if isinstance(what, int):  # the PDO is switched off: an event that waits is dropped
+            set_up(bench, kind=254, inhibit=10 * what, timer=timer_ms)
+            model.inhibit_s, model.waits, model.timer_end = what / 1000, False, bench.now + model.timer_s
+        elif what == "timer":  # written again: it begins, and an event that waits still waits
             assert bench.write(0x1801, 5, timer_ms, 2) == OK
             model.timer_end = bench.now + model.timer_s
         elif what:

@@ -55,7 +55,7 @@ class Tpdo(Timed):
             lambda value: self.parameters.is_valid or value > _LARGEST_START
         )
         self._event_timer.on_written = self._written
-        self._event, self._not_before = False, -NEVER
+        self._event, self._sent_s = False, -NEVER
         self.enable(False, 0.0)
 
     @property
@@ -80,8 +80,6 @@ class Tpdo(Timed):
         self._event &= self._is_active  # it still waits where another type or timer is written
         self._limited = self._inhibit_s > 0 or self._timer_s > 0 or self._event
         self.at_event = self.send if self._event_driven and not self._limited else self.trigger
-        if not self._inhibit_s:
-            self._not_before = -NEVER
         self._timer_end = now + self._timer_s if self._timer_s else NEVER
         self._waits_for_start = self._start_value.value > 0
         self.at_sync = self.send if self._type == 1 and not self._waits_for_start else self.synchronise
@@ -89,8 +87,12 @@ class Tpdo(Timed):
         self.sampled: bytes | None = None  # at the last SYNC, for a remote request
         self._schedule()
 
+    @property
+    def _free_s(self) -> float:
+        return self._sent_s + self._inhibit_s
+
     def trigger(self, now: float) -> None:
-        if self._event_driven and now >= self._not_before:
+        if self._event_driven and now >= self._free_s:
             self.send(now)
         elif self._is_active:
             self._event = True
@@ -119,12 +121,12 @@ class Tpdo(Timed):
 
     def sent(self, now: float) -> None:
         """While it `is_inhibited`."""
-        self._not_before = now + self._inhibit_s
+        self._sent_s = now
         self._schedule()
 
     def tick(self, now: float) -> None:
         """An event that may go out now, or the event timer is over."""
-        if now >= self._not_before:
+        if now >= self._free_s:
             self.send(now)
         else:
             self._event = True
@@ -150,14 +152,14 @@ class Tpdo(Timed):
     def _restart(self, now: float) -> None:
         self._event = False
         if self.is_inhibited:
-            self._not_before = now + self._inhibit_s
+            self._sent_s = now
         if self._timer_s:
             self._timer_end = now + self._timer_s
         self._schedule()
 
     def _schedule(self) -> None:
         waits = self._event and self._event_driven
-        self.deadline = min(self._not_before if waits else NEVER, self._timer_end)
+        self.deadline = min(self._free_s if waits else NEVER, self._timer_end)
 
     def _written(self) -> None:
         self.enable(self._operational, self._core.call.now)
