@@ -150,59 +150,41 @@ def alternating(jitter_s: float) -> Callable[[int], float]:
     return lambda k: jitter_s if k % 2 else -jitter_s
 
 
-@pytest.mark.parametrize("table", [True, False])
-@pytest.mark.parametrize("part", [HELD, FLAGGED])
-def test_acceleration(part: float, table: bool) -> None:
-    limit = planned(table=table, acceleration_rad_s2=1.0).budgets[0].largest_acceleration_rad_s2
-    stated = part * limit
-    assert planned(table=table, acceleration_rad_s2=stated).holds is (part == HELD)
-    seconds = 0.5
-    found = play(up_to_speed(cycles(stated * 0.35), cycles(stated)), seconds, table=table)
-    assert found.holds is (part == HELD), max(found.residuals)
+# Sample times, and a jitter that stretches the intervals.
+STRETCHED = {"times": True, "jitter_us": 80.0, "rpm": 1500.0}
 
 
+@pytest.mark.parametrize(("table", "words"), [(True, {}), (False, {}), (True, STRETCHED)])
 @pytest.mark.parametrize("part", [HELD, FLAGGED])
-def test_acceleration_with_sample_times_and_a_jitter_that_stretches_the_intervals(part: float) -> None:
-    words = {"times": True, "table": True, "jitter_us": 80.0, "rpm": 1500.0}
-    limit = planned(acceleration_rad_s2=1.0, **words).budgets[0].largest_acceleration_rad_s2
+def test_acceleration(part: float, table: bool, words: dict[str, Any]) -> None:
+    limit = planned(table=table, acceleration_rad_s2=1.0, **words).budgets[0].largest_acceleration_rad_s2
     stated = part * limit
-    assert planned(acceleration_rad_s2=stated, **words).holds is (part == HELD)
-    off = (-80e-6, -80e-6, 80e-6)
+    assert planned(table=table, acceleration_rad_s2=stated, **words).holds is (part == HELD)
     # The module knows each interval, and its limit grows with it; the plan keeps to the nominal limit.
-    played = stated if part == HELD else 1.3 * limit
-    motion = up_to_speed(cycles(1500 * RPM), cycles(played))
-    found = play(motion, 0.6, table=True, times=True, off_s=lambda k: off[k % 3])
+    played = 1.3 * limit if words and part == FLAGGED else stated
+    motion = up_to_speed(cycles(1500 * RPM if words else stated * 0.35), cycles(played))
+    off = (-80e-6, -80e-6, 80e-6) if words else (0.0,)
+    found = play(motion, 0.6, table=table, times=bool(words), off_s=lambda k: off[k % len(off)])
     assert found.holds is (part == HELD), max(found.residuals)
 
 
-@pytest.mark.parametrize("table", [True, False])
+JITTER = {"jitter_us": 20.0}, {"off_s": alternating(20e-6)}
+# An own jitter of 0: every second SYNC waits for a frame of 8 bytes that has just begun.
+WAITING = {"extra_load": 0.1}, {"between": lambda k: [(-0.5e-6, LOUD)] if k % 2 else []}
+
+
+@pytest.mark.parametrize(("table", "cause"), [(True, JITTER), (False, JITTER), (True, WAITING)])
 @pytest.mark.parametrize("part", [HELD, FLAGGED])
-def test_speed_under_jitter(part: float, table: bool) -> None:
-    words = {"table": table, "jitter_us": 20.0, "acceleration_rad_s2": GENTLE}
+def test_speed_under_jitter(part: float, table: bool, cause: tuple[dict[str, Any], dict[str, Any]]) -> None:
+    words = {"table": table, "acceleration_rad_s2": GENTLE, **cause[0]}
     limit = planned(rpm=1.0, **words).budgets[0].largest_speed_rad_s
     stated = part * limit
     assert planned(rpm=stated / RPM, **words).holds is (part == HELD)
     seconds = stated / GENTLE + 0.5
-    found = play(up_to_speed(cycles(stated), cycles(GENTLE)), seconds, table=table, off_s=alternating(20e-6))
+    found = play(up_to_speed(cycles(stated), cycles(GENTLE)), seconds, table=table, **cause[1])
     # Without a table the errors of the phases are a bound, which few of the phases that come by reach.
     assert found.holds is (part == HELD) or not table, max(found.residuals)
     assert found.holds or part == FLAGGED, max(found.residuals)
-
-
-@pytest.mark.parametrize("part", [HELD, FLAGGED])
-def test_speed_while_other_frames_are_in_the_way_of_the_sync(part: float) -> None:
-    """An own jitter of 0: every second SYNC waits for a frame of 8 bytes that has just begun."""
-    words = {"table": True, "extra_load": 0.1, "acceleration_rad_s2": GENTLE}
-    limit = planned(rpm=1.0, **words).budgets[0].largest_speed_rad_s
-    stated = part * limit
-    assert planned(rpm=stated / RPM, **words).holds is (part == HELD)
-    found = play(
-        up_to_speed(cycles(stated), cycles(GENTLE)),
-        0.6,
-        table=True,
-        between=lambda k: [(-0.5e-6, LOUD)] if k % 2 else [],
-    )
-    assert found.holds is (part == HELD), max(found.residuals)
 
 
 @pytest.mark.parametrize("part", [HELD, FLAGGED])

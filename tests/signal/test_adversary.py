@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import witness_kit
-from test_second_position import INCREMENTS, N, wrapped
+from test_second_position import DISAGREES, FINE, INCREMENTS, LOST, VALID, N, wrapped
 from witness_kit import at
 
 from canfb.objects import StatusBit
@@ -35,7 +35,6 @@ TWIST_CYCLES, BACKLASH_CYCLES = 0.3 * TOLERANCE_CYCLES, 0.5 * TOLERANCE_CYCLES
 INCREMENT_CYCLES = N / INCREMENTS
 MOST_ACCELERATION = 0.15  # cycles per interval squared
 TOP = 90.0  # cycles per interval
-DISAGREES, VALID, LOST = int(StatusBit.SECOND_POSITION), int(StatusBit.VALID), int(StatusBit.LOST)
 
 
 def motion(rng: Rng, intervals: int, still: int = 30) -> Iterator[tuple[float, float]]:
@@ -165,8 +164,6 @@ def test_what_the_tracks_cannot_show_is_reported(kind: str) -> None:
 
 # Samples are missed or flagged, the bus pauses, the edges of the pulse are a cycle apart by direction, the
 # coarse track has an error. A valid position is right, or was lost before and is whole revolutions off.
-
-FINE = 1 << 22
 
 
 class Machine(witness_kit.Machine):

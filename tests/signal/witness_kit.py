@@ -73,12 +73,15 @@ class Machine:
         return at(self.position, **rest)
 
     def step(self, **rest: Any) -> Feedback:
-        return self.chain.step(self.sample(**rest))
+        return self.take(self.sample(**rest))
+
+    def take(self, sample: Sample) -> Feedback:
+        return self.chain.step(sample)
 
     def spoil(self, sample: Sample = DEAD) -> Feedback:
         """The machine moves on, but this is what the converter gives."""
         self.position += self.speed
-        return self.chain.step(sample)
+        return self.take(sample)
 
     def miss(self) -> Feedback:
         self.position += self.speed

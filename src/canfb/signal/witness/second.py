@@ -10,7 +10,7 @@ from canfb.signal.second_position import RANGE, SecondScale, SecondSensor, step_
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, SECOND_POSITION, VALID
 from canfb.signal.tracker import Track
 from canfb.signal.witness.reference import Reference, lost_bits
-from canfb.signal.witness.witness import PHASE_CYCLES, Pair, Witness, only_count
+from canfb.signal.witness.witness import PHASE_CYCLES, Pair, Witness, counts_within
 
 MOST_LATE = 3  # intervals by which a value may be late and is still known as that
 ON_TIME_VALUES = 100  # in a row that fit their own sample: they are not late
@@ -24,6 +24,7 @@ class SecondValues:
 
     missing       intervals in a row without a certain value
     late          missing values: those that come may be late by as many intervals
+    most_late     the same, less only by a value that fits no earlier sample: one that comes twice may be late
     is_ambiguous  the sensor may have turned by more than half of its range: where it stands is not known
     """
 
@@ -35,14 +36,13 @@ class SecondValues:
         if not keep:
             self._last: int | None = None
             self._increments = 0
-        self.missing = self.late = 0
+        self.missing = self.late = self.most_late = 0
         self.is_ambiguous = False
         self._begun = False
         self._on_time = 0  # values in a row that fitted their own sample
         self._step = 0  # the last one
         self._is_frozen = False
         self._since: Pair | None = None  # the first pair with this value
-        self.restart_standstill()
 
     def restart_standstill(self) -> None:
         self._still: Pair | None = None
@@ -52,7 +52,9 @@ class SecondValues:
         """The value of an interval with so many ``values`` and ``samples``, unwrapped; None: not certain."""
         self.is_ambiguous = False
         if self._begun:
-            self.late = max(0, min(MOST_LATE, self.late + max(samples, 1) - max(values, 0)))
+            lacking = max(samples, 1) - max(values, 0)
+            self.late = max(0, min(MOST_LATE, self.late + lacking))
+            self.most_late = min(MOST_LATE, self.most_late + max(lacking, 0))
         if values != 1:
             self._on_time = 0
             self.missing += 1
@@ -67,15 +69,21 @@ class SecondValues:
             self._step = step // intervals if begun else 0
             self._is_frozen, self._since = False, None
         else:
-            increment = self._scale.step_cycles
-            self._is_frozen |= abs(self._step) * increment > max(SUDDEN_CYCLES, 2.0 * increment)
+            self._is_frozen |= self.turns
         return self._increments
+
+    @property
+    def turns(self) -> bool:
+        """By the last step the machine does not stand."""
+        increment = self._scale.step_cycles
+        return abs(self._step) * increment > max(SUDDEN_CYCLES, 2.0 * increment)
 
     def fits(self, fits_earlier: bool) -> None:
         """The last value fits its own sample, and perhaps an earlier one, if it is late."""
         self._on_time += 1
-        if not fits_earlier or self._on_time >= ON_TIME_VALUES:
-            self.late = 0
+        if not fits_earlier:
+            self.most_late = 0
+        self.late = 0 if self._on_time >= ON_TIME_VALUES else min(self.late, self.most_late)
 
     def is_stale(self, pair: Pair, moving: bool) -> bool:
         """The value is the one before again, although the machine has moved.
@@ -87,7 +95,9 @@ class SecondValues:
         if not moving:
             moved -= round(moved)
         allowed = self._scale.step_cycles + STILL_CYCLES + (0.0 if moving else PHASE_CYCLES)
-        return abs(moved) > allowed or (self._is_frozen and not moving)
+        stale = abs(moved) > allowed
+        self._is_frozen |= stale  # until the value changes: phases come back
+        return stale or (self._is_frozen and not moving)
 
     def stands_still(self, pair: Pair) -> bool:
         """Neither sensor has moved for :data:`STILL_PAIRS` pairs, this one the last."""
@@ -149,14 +159,10 @@ class SecondPosition:
         self._values.restart_standstill()
 
     def hear(self, values: int, increments: int) -> None:
-        """An interval with this number of ``values`` is over, the last one ``increments``.
-
-        With just one it belongs to the last sample. ``values`` -1: it is not certain which ones they were.
-        """
+        """As :meth:`canfb.signal.chain.SignalChain.hear_second`."""
         heard = self._values.take(values, increments, self._samples)
         if self._values.missing > LONGEST_GAP or self._values.is_ambiguous:
             self._forget_origin()
-        if self._values.is_ambiguous:
             self._restart_search()
         self._heard = heard if self._samples == 1 else None
         self._samples = 0
@@ -273,23 +279,24 @@ class SecondPosition:
         if may_learn and (values.stands_still(pair) or self._reference.zero.referenced):
             witness.origin, witness.firm = pair, True
         self.difference_cycles = witness.away_cycles(pair)
-        fits_earlier = any(map(witness.fits, self._earlier(pair)))
         if witness.fits(pair):
+            earlier = self._earlier(pair, values.most_late)
+            values.fits(len(earlier) < values.most_late or any(map(witness.fits, earlier)))
             witness.disagreeing = 0
-            values.fits(fits_earlier)
-        elif not fits_earlier:
+        elif not any(map(witness.fits, self._earlier(pair, values.late))):
             witness.disagreeing += 1
 
-    def _earlier(self, pair: Pair) -> list[Pair]:
-        """What a late value belongs to: the samples before."""
-        begin = max(0, len(self._before) - self._values.late)
+    def _earlier(self, pair: Pair, late: int) -> list[Pair]:
+        """What a value that is ``late`` at most belongs to: the samples before."""
+        begin = max(0, len(self._before) - late)
         return [pair._replace(cycles=one.cycles, phase=one.phase) for one in list(self._before)[begin:]]
 
     def _is_open(self, pair: Pair) -> bool:
         """A value that may be late gives another count than one that is not."""
         limit = self.witness.limit_cycles + PHASE_CYCLES
-        away = map(self.witness.away_cycles, (pair, *self._earlier(pair)))
-        return len({only_count(one, limit) for one in away} - {None}) > 1
+        away = map(self.witness.away_cycles, (pair, *self._earlier(pair, self._values.most_late)))
+        here, *earlier = (counts_within(one, limit) for one in away)
+        return len(here) == 1 and any(counts and counts != here for counts in earlier)
 
 
 def _shifted(track: Track, cycles: int) -> Track:

@@ -45,8 +45,6 @@ class SpeedSearch:
     def restart(self) -> None:
         """The next value is the first. Eq. 9 must count without a gap from there on."""
         self._known = 0
-        self._first_time = 0.0
-        self._seen = 0
         self._error = 0.0  # the largest of a pair, cycles
         self._low, self._high = -math.inf, math.inf
 
@@ -65,24 +63,21 @@ class SpeedSearch:
             self._low = max(self._low, float(((ahead_cycles - ahead - error) / apart).max()))
             self._high = min(self._high, float(((ahead_cycles - ahead + error) / apart).min()))
         self._remember(time, ahead_cycles, moved_cycles)
-        if self._seen < LEAST_VALUES or not math.isfinite(self._high - self._low):
+        if self._known < LEAST_VALUES or not math.isfinite(self._high - self._low):
             return None
         least, most = math.ceil(self._low), math.floor(self._high)
         if least > most:
             self.restart()
             self._remember(time, ahead_cycles, moved_cycles)
-        spans = time - self._first_time >= 2.0 * self._error + 1.0
+        spans = time - self._values[0, 0] >= 2.0 * self._error + 1.0
         return least if least == most and spans else None
 
     def _remember(self, time: float, ahead_cycles: float, moved_cycles: float) -> None:
         if self._known == MOST_VALUES:
             self._values[:, : MOST_VALUES // 2] = self._values[:, ::2]
             self._known = MOST_VALUES // 2
-        if not self._seen:
-            self._first_time = time
         self._values[:, self._known] = time, ahead_cycles, moved_cycles
         self._known += 1
-        self._seen += 1
 
 
 DISAGREEING = 3  # values in a row: a single one may be a fault of the bus
@@ -192,20 +187,20 @@ class Witness:
     def missing_count(self, pair: Pair) -> tuple[int, bool]:
         """What the count lacks, cycles, and whether that is certain; else it is a count near the sensor."""
         away, limit = self.away_cycles(pair), self.limit_cycles
-        shift = only_count(away, limit + PHASE_CYCLES)
-        if shift is None:
+        counts = counts_within(away, limit + PHASE_CYCLES)
+        if len(counts) != 1:
             self._agreeing = 0
             return (0 if abs(away) <= limit else round(away)), False
+        shift = counts[0]
         if not self._agreeing or shift != self._shift or abs(away - self._away) > self.scale.steady_cycles:
             self._agreeing, self._shift, self._away = 0, shift, away
         self._agreeing += 1
         return (shift, True) if self._agreeing >= AGREEING else (0, False)
 
 
-def only_count(away_cycles: float, limit_cycles: float) -> int | None:
-    """Whole cycles that bring the rest within the limit; None unless just one."""
-    low, high = -(-(away_cycles - limit_cycles) // 1), (away_cycles + limit_cycles) // 1
-    return int(low) if low == high else None
+def counts_within(away_cycles: float, limit_cycles: float) -> range:
+    """Whole cycles that bring the rest within the limit."""
+    return range(math.ceil(away_cycles - limit_cycles), math.floor(away_cycles + limit_cycles) + 1)
 
 
 LOWEST_AMPLITUDE = 0.1  # of the full scale: a coarse track below it is ignored
@@ -241,7 +236,6 @@ class CoarseTrack(Witness):
     def __init__(self, cycles_per_revolution: int, full_scale_counts: int, limit_revolutions: float) -> None:
         self._turns = self._angle = 0.0  # whole revolutions, and the part of one at the last value
         super().__init__(CoarseScale(cycles_per_revolution, full_scale_counts, limit_revolutions))
-        self.firm = True
 
     def limit(self, full_scale_counts: int, limit_revolutions: float) -> None:
         scale = CoarseScale(self.scale.given[0], full_scale_counts, limit_revolutions)
