@@ -95,8 +95,16 @@ def standing(tolerance: float = 0.01, increments: int = INCREMENTS) -> TwoSensor
 
 @each("speed", [0.0, 0.2, -83.2, 83.5, 0.5, 41.99, -7.25])
 @each("tolerance", [EXACT, 0.001])
-def test_a_start_on_a_turning_machine(speed: float, tolerance: float) -> None:
-    got = TwoSensors(tolerance, speed=speed).run(250)
+@each("values, quiet", [(1, 0), (1, 50), (0, 50)])
+def test_a_start_on_a_turning_machine(speed: float, tolerance: float, values: int, quiet: int) -> None:
+    """It stays open where the values end, or repeat themselves, once they have shown that it turns."""
+    machine = TwoSensors(tolerance, speed=speed)
+    machine.run(2)
+    frozen = [machine.value()] * values
+    machine.on_bus = lambda value: frozen
+    assert abs(speed) <= 0.5 or not any(has(machine.run(quiet), VALID))
+    machine.on_bus = lambda value: [value]
+    got = machine.run(250)
     first = has(got, VALID).index(True)
     assert all(feedback.valid for feedback in got[first:])
     assert got[-1].speed_cycles == pytest.approx(speed, abs=0.05)
