@@ -33,7 +33,7 @@ def flag(name: str, value: object) -> None:
 
 
 def text(name: str, value: object) -> None:
-    """ValueError unless ``value`` is a string, not blank, that can name a file."""
+    """ValueError unless ``value`` is text, not blank, that can name a file."""
     if not isinstance(value, str) or not value.strip() or any(map(_is_never_written, value)):
         raise ValueError(f"{name} must be text, not {value!r}")
 

@@ -75,6 +75,11 @@ def away(bus: Bus, got: Feedback) -> float:
     return got.cycles + got.phase - bus.source.position_cycles
 
 
+def followed(bus: Bus, syncs: int) -> list[tuple[Feedback, float]]:
+    """What comes of so many SYNCs from the fourth sample on, and how far it is from the machine."""
+    return [(got, away(bus, got)) for _ in range(syncs) if (got := bus.sync()) and got.samples > 3]
+
+
 @pytest.mark.parametrize(
     ("jitter_s", "per_sync", "residual"),
     [
@@ -102,13 +107,9 @@ def test_a_servo_move_over_a_bus_with_jitter(per_sync: int, residual: float, jit
 def test_a_1006h_that_is_wrong_is_not_the_interval_of_the_sample_times(said_us: int) -> None:
     bus = Bus(1e-4, samples_per_sync=4, sync_jitter_s=3e-4)
     bus.module.dictionary.entry(0x1006).value = said_us
-    off = []
-    for _ in range(400):
-        got = bus.sync()
-        if got is not None and got.valid:
-            off.append(away(bus, got))
-    assert got is not None
-    assert got.valid
+    found = followed(bus, 400)
+    off = [off for got, off in found if got.valid]
+    assert found[-1][0].valid
     assert len(off) > 350
     assert off == pytest.approx([off[0]] * len(off), abs=0.1)
     assert bus.module.interval_s == pytest.approx(PERIOD_S / 4, rel=1e-2)
@@ -158,13 +159,8 @@ def test_a_sample_with_a_lost_pdo_is_missed_as_a_whole(lost_id: int) -> None:
 
 def test_without_times_and_with_jitter_it_is_never_wrong() -> None:
     bus = Bus(5e-5, samples_per_sync=2, times=False)
-    first = None
-    for _ in range(400):
-        got = bus.sync()
-        if got is None or got.samples < 4:
-            continue
-        first = away(bus, got) if first is None else first
-        assert not got.valid or abs(away(bus, got) - first) < 0.4
+    found = followed(bus, 400)
+    assert all(not got.valid or abs(off - found[0][1]) < 0.4 for got, off in found)
 
 
 @each("jitter_s, kept", [(5e-5, True), (1e-4, False)])
@@ -172,9 +168,9 @@ def test_without_times_a_sync_that_is_early_costs_its_sample(jitter_s: float, ke
     """By more than 20 us and 0.3 of the answer delay, which is 130 us here."""
     bus = Bus(jitter_s, samples_per_sync=2, times=False)
     bus.source.motion = Motion([Ramp(0.3, 0.0), Ramp(0.5, 60.0)])
-    got = [(one, away(bus, one)) for one in (bus.sync() for _ in range(1000)) if one is not None]
-    assert all(one.valid for one, _ in got[80:]) is kept
-    assert all(abs(off - got[80][1]) < 0.4 for one, off in got[80:] if one.valid)
+    found = followed(bus, 1000)[80:]
+    assert all(got.valid for got, _ in found) is kept
+    assert all(abs(off - found[0][1]) < 0.4 for got, off in found if got.valid)
 
 
 @each("per_sync", [4, 8])

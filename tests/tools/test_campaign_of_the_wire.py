@@ -40,6 +40,7 @@ FOUND = (  # each was valid and wrong
     "coarse track, any loss:plain/rx:2040001000019", "stamp, one bad, TPDO 1:servo:2050001000026",
     "stamp, clock steps:times-free:2050001000070", "zero pulse false:servo/rx:2020001000001",
     "SYNC, another rate, times:servo/rx:997000331", "SYNC, another rate, times:servo/rx:997000993",
+    "stamp, one bad:servo-3/rx:30700001000014", "stamp, one bad, TPDO 1:servo-3:30700001000026",
     "settings written:counter/rx:3040001000057", "NMT pause, samples later:counter/rx:6100001000009",
 )  # fmt: skip
 KEPT = ("PDOs behind later SYNCs:times+counter/rx:4010001000008",)  # each was lost

@@ -169,10 +169,11 @@ class Declared:
 
     @cached_property
     def bad_samples(self) -> int:
-        """m: as declared, or as many as cannot do harm at twice the bound; at least 1."""
+        """m: as declared, or as many as do no harm at twice the bound; at least a SYNC's."""
         if self.bad:
             return self.bad
-        return max(1, min(samples_without_harm(2.0 * self.followed), MOST_BY_DEFAULT))
+        # They have one time, and come together.
+        return max(self.samples_per_sync, min(samples_without_harm(2.0 * self.followed), MOST_BY_DEFAULT))
 
     @property
     def followed(self) -> float:

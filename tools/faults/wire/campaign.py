@@ -67,7 +67,6 @@ def class_misses(cell: Cell, sums: Sums) -> Iterator[str]:
 
 
 def classes(faults: Sequence[str] = tuple(CLASSES), setups: Sequence[str] = tuple(SETUPS)) -> Campaign:
-
     def runs(cell: Cell) -> bool:
         return SETUPS[cell.setup].fits(EVERY[cell.fault].of)
 

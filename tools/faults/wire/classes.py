@@ -368,7 +368,7 @@ CLASSES = {
     "pulse, 1..3 lost": WireClass(pulse_and_some_lost, torque=0.0, of="!servo"),
     "pulse in the gap": WireClass(pulse_in_the_gap, torque=0.0, of="!servo"),
     **{f"PDO lost, {n}": WireClass(lost(n)) for n in (1, 2, 3, 5)},
-    "PDO with the time lost": WireClass(time_lost, of="servo"),
+    "PDO with the time lost": WireClass(time_lost, of="servo times"),
     "PDOs lost, 15 %": WireClass(slots(40, pdo_lost=lambda plan: plan.rng.uniform() < 0.15)),
     "PDO lost, every n-th": WireClass(slots(None, step=one_of(3, 6, 8, 12), pdo_lost=True)),
     "PDO lost, late host": WireClass(LATE_HOST, lost(between(1, 3))),

@@ -80,6 +80,7 @@ def _draw_wire(plan: Plan) -> None:
     plan.jitter_us = float(rng.uniform(0.0, 100.0))
     if plan.options.interval_s < 1e-3:  # such a bus has room for nothing else
         plan.jitter_us, plan.gaussian, plan.busy = plan.jitter_us * 0.25, False, 0.0
+    plan.locked = setup.servo > 2  # 100 us rms would be half of its interval
     if not setup.times:
         plan.locked = bool(rng.uniform() < 0.7)
         keep_regular(plan)
@@ -119,16 +120,18 @@ def draw_servo(setup: Setup, rng: np.random.Generator, after: int) -> Plan:
     options.exact = bool(rng.integers(2))
     options.overflow = int(rng.choice((10, 240)))
     motion = Motion(start=float(rng.uniform(0.1, 0.9)) + float(rng.integers(-3, 3)))
-    jerk = TOP_JERK * float(rng.choice((1.0, 1.0, 0.3, 0.05)))
-    options.limit = TOP_ACCELERATION * KNOWN
+    more = (setup.servo / 2) ** 2  # of cycles/T^2 in intervals of its own: the same as with two pairs
+    jerk = TOP_JERK * more * float(rng.choice((1.0, 1.0, 0.3, 0.05)))
+    options.limit = TOP_ACCELERATION * more * KNOWN
     end, speed = float(SERVO_REST), 0.0
+    top = TOP_CYCLES * (1.0 if setup.times else float(rng.choice((1.0, 0.1, 0.01, 0.003))))
     learning = options.margin > 0 and bool(rng.integers(2))  # the noise is known before the fault
     slots = LEARNED if not learning else 1500
     while end < slots:
-        target = float(rng.uniform(-1.0, 1.0)) * TOP_CYCLES * float(rng.choice((1.0, 1.0, 0.05)))
+        target = float(rng.uniform(-1.0, 1.0)) * top * float(rng.choice((1.0, 1.0, 0.05)))
         if learning and end < 200.0:
             target = 37.37
-        end = move(motion, end, target - speed, jerk, rng)
+        end = move(motion, end, target - speed, TOP_ACCELERATION * more, jerk, rng)
         speed = target
         end += 1300.0 if learning and end < 400.0 else float(rng.uniform(0.0, DWELL))
     vibrate(motion, rng, jerk, end + 1e6)
@@ -139,10 +142,12 @@ def draw_servo(setup: Setup, rng: np.random.Generator, after: int) -> Plan:
     return plan
 
 
-def move(motion: Motion, begin: float, change: float, jerk: float, rng: np.random.Generator) -> float:
+def move(
+    motion: Motion, begin: float, change: float, most: float, jerk: float, rng: np.random.Generator
+) -> float:
     """A change of speed, limited in acceleration and jerk; when it is over."""
     size = abs(change)
-    acceleration = min(TOP_ACCELERATION * float(rng.choice((1.0, 0.5))), math.sqrt(size * jerk))
+    acceleration = min(most * float(rng.choice((1.0, 0.5))), math.sqrt(size * jerk))
     if size == 0.0 or acceleration == 0.0:
         return begin
     rise = acceleration / jerk

@@ -188,14 +188,14 @@ def _send_samples(
     plan: Plan, samplings: list[_Sampling], positions: np.ndarray, events: list[Event]
 ) -> list[float]:
     """The moments that their times name."""
-    rng, us, named = plan.rng, plan.us, [one.time for one in samplings]
-    exact = plan.options.exact
+    rng, us, exact = plan.rng, plan.us, plan.options.exact
+    named = [one.time for one in samplings]
     tracks = partial(counts, rng=rng, exact=exact, amplitude=AMPLITUDE_COUNTS, most_noise=math.inf)
     sine, cosine = tracks(positions)
-    # The clock of the interface takes the earlier pair half a period before, wherever the newest one is.
+    # The clock of the interface takes the earlier pairs, wherever the newest one is.
     apart = np.diff(named, prepend=named[0] - 1.0) if plan.options.follows else 1.0
-    half_before = plan.motion.at(np.subtract(named, 0.5 * apart))
-    earlier = tracks(half_before) if plan.setup.servo else None
+    pairs = plan.setup.servo
+    earlier = [tracks(plan.motion.at(np.subtract(named, k / pairs * apart))) for k in range(1, pairs)]
     offset = int(rng.integers(1 << 32))
     if rng.integers(3) == 0:  # the clock of the interface wraps during the episode
         offset = (1 << 32) - int(rng.uniform(0.0, plan.end * plan.options.interval_s / TICK_S))
@@ -205,7 +205,6 @@ def _send_samples(
     latest = LATEST_PDO * rng.uniform(0.8, 1.0, len(samplings))
     waits = np.minimum((work + busy * blocked) * us, latest).tolist()
     free = 0.0  # when the interface can send again: its PDOs do not overtake each other
-    before = 0.0
     for n, one in enumerate(samplings):
         slot = plan.slots[one.slot]
         data = struct.pack("<hh", sine[n], cosine[n])
@@ -216,26 +215,22 @@ def _send_samples(
             shown = tick + slot.stamp_add if slot.stamp is None else slot.stamp
             named[n] += within_half(shown - tick, 1 << 32) * TICK_S / plan.options.interval_s
             stamp = struct.pack("<I", shown & U32)
-        if earlier is None:
-            data += stamp
-        else:
-            data += struct.pack("<hh", earlier[0][n], earlier[1][n])
+        parts = [struct.pack("<hh", sines[n], cosines[n]) for sines, cosines in earlier] or [stamp]
         sent = max(one.heard + waits[n] + slot.sample_late_us * us, free)
         free = sent + 60.0 * us
         sent += slot.pdo_late_us * us
         if not slot.pdo_lost:
             for later in (0.0, *slot.pdo_again_us):
-                what = "pdo" if earlier is None else "part"
-                events.append(Event(sent + later * us, what, Frame(ADC_ID, data), n))
-                if earlier is not None and not slot.times_lost:
+                what = "part" if pairs and plan.setup.times else "pdo"
+                events.append(Event(sent + later * us, what, Frame(ADC_ID, data + parts[0]), n))
+                if what == "part" and not slot.times_lost:
                     at = sent + (later + TIMES_LATER_US) * us
-                    events.append(Event(at, "pdo", Frame(TIMES_ID, stamp), n))
-        extra = _extra(plan, slot, before, one.time)
+                    events.append(Event(at, "pdo", Frame(TIMES_ID, b"".join(parts[1:]) + stamp), n))
+        extra = _extra(plan, slot, samplings[n - 1].time if n else 0.0, one.time)
         if extra and not slot.extra_lost:
             for later in (0.0, *slot.extra_again_us):
                 at = sent + (70.0 + later) * us
                 events.append(Event(at, "extra", Frame(EXTRA_ID, extra), n))
-        before = one.time
     return named
 
 

@@ -17,6 +17,7 @@ RANGE_CYCLES = 209 * CYCLES_PER_REVOLUTION  # where 6004h wraps
 SECOND_INCREMENTS = 1 << 20  # 2014:01, per revolution
 TWO_PI = 6.283185307179586
 WRITE_REPLY = 0x60
+SECOND, THIRD = (0x20000810, 0x20000910), (0x20000A10, 0x20000B10)  # pairs of one SYNC
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,8 @@ class Setup:
     """One column of the campaign.
 
     counter: the SYNC has one; times: the ADC PDO holds the sample time; period: 1006h is written (None:
-    in half of the episodes); stamps: frames carry their receive time; servo: two pairs of tracks for
-    each SYNC, and the motion of a servo.
+    in half of the episodes); stamps: frames carry their receive time; servo: pairs of tracks for each
+    SYNC, with the motion of a servo.
     """
 
     name: str
@@ -33,12 +34,12 @@ class Setup:
     times: bool = False
     period: bool | None = None
     stamps: bool = False
-    servo: bool = False
+    servo: int = 0
 
     def fits(self, words: str) -> bool:
         """Whether it has all of these, and none of those with a !; | separates alternatives."""
         return any(
-            all(getattr(self, word.lstrip("!")) != word.startswith("!") for word in part.split())
+            all(bool(getattr(self, word.lstrip("!"))) != word.startswith("!") for word in part.split())
             for part in words.split("|")
         )
 
@@ -50,7 +51,7 @@ _WITHOUT_RX = (
     Setup("times-free", times=True, period=False),
     Setup("times+counter", counter=True, times=True),
 )
-_SERVO = (Setup("servo", times=True, servo=True),)
+_SERVO = (Setup("servo", times=True, servo=2), Setup("servo-3", times=True, servo=3), Setup("pairs", servo=2))
 SETUPS = {
     one.name: one
     for group in (_WITHOUT_RX, _SERVO)
@@ -131,11 +132,11 @@ def configuration(setup: Setup, options: Options) -> list[Frame]:
         (o.second, 0x2014, 5, "B", 1),
     )
     frames = [sdo_write(index, sub, kind, value or 0) for is_set, index, sub, kind, value in simple if is_set]
-    if setup.times:
-        second = (0x20000810, 0x20000910) if setup.servo else (0x20000520,)
+    if setup.times or setup.servo:
+        second = SECOND if setup.servo else (0x20000520,)
         frames += _mapping(0x1400, ADC_ID, (0x20000110, 0x20000210, *second), o.rpdo_type)
-    if setup.servo:
-        frames += _mapping(0x1402, TIMES_ID, (0x20000520,), o.rpdo_type)
+    if setup.servo and setup.times:
+        frames += _mapping(0x1402, TIMES_ID, THIRD * (setup.servo > 2) + (0x20000520,), o.rpdo_type)
     extra = (0x20000310, 0x20000410) * o.coarse + (0x20000608, 0x20000710) * o.extra
     extra += (0x20000E20,) * bool(o.second)
     if extra:
