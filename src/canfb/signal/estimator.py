@@ -285,35 +285,24 @@ class Estimator:
         """
         if (len(self.places) <= START_SAMPLES and self._start_places()) or elapsed >= LONG_INTERVAL:
             return 0.0
-        radius = self._usual_radius(elapsed)
-        return radius if radius < HALF_CYCLE else 0.0
-
-    def _usual_radius(self, elapsed: float) -> float:
-        """Half the window of a sample in turn, cycles; 1.0 where two samples do not give it."""
         last = self.tracker.elapsed
         if last < SHORT_INTERVAL or len(self.places) < 2:
-            return 1.0
+            return 0.0
         error = self._error + self._instant_error * abs(self.tracker.step_cycles)
-        return self._largest * elapsed * (elapsed + last) / 2.0 + error * (2.0 + 2.0 * elapsed / last)
+        radius = self._largest * elapsed * (elapsed + last) / 2.0 + error * (2.0 + 2.0 * elapsed / last)
+        return radius if radius < HALF_CYCLE else 0.0
 
     def _counted(self, phase: float, elapsed: float) -> Track | None:
         """The position of a sample in turn, if it is the only one that the machine can be at."""
-        if elapsed == 1.0 and self.tracker.is_steady and not (self.declared.instant_error or self.searches):
-            if len(self.places) > 1:
-                return None  # the prediction has refused it already
-            track = self.tracker.look(phase)
-            return track._replace(ok=True) if track.residual < self.declared.first_limit else None
-        counted = self._in_window(phase, elapsed)
-        return None if counted is None else counted._replace(ok=True)
-
-    def _in_window(self, phase: float, elapsed: float) -> Track | None:
-        track = self.tracker.look(phase, elapsed)
-        radius = self._usual_radius(elapsed)
-        if radius < HALF_CYCLE:
-            return track if track.residual < radius else None
+        steady = elapsed == 1.0 and self.tracker.is_steady
+        if steady and len(self.places) > 1 and not (self.declared.instant_error or self.searches):
+            return None  # the prediction has refused it already
+        track, radius = self.tracker.look(phase, elapsed), self.limit_over(elapsed)
+        if radius > 0.0:
+            return track._replace(ok=True) if track.residual < radius else None
         spots = self._spots()
         counts = self.declared.usual.window(spots, spots[-1].time + elapsed).counts(phase)
-        return track._replace(cycles=counts[0]) if len(counts) == 1 else None
+        return track._replace(cycles=counts[0], ok=True) if len(counts) == 1 else None
 
     def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""
