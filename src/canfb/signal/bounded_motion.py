@@ -14,8 +14,8 @@ the weights are large, and windows of the newest sample with older ones are shar
 **Junction.** The samples behind a hole belong to one motion. Nodes are put about one interval apart where
 samples are missing. Each node, and each sample behind the hole, is the extrapolation of the two nodes
 before it plus a generator of size B prod / 2; each sample has another one of size e. So the deviations d of
-k samples lie in a zonotope: |n d| <= sum |n g| over the normals n of its facets, for k = 2 perpendicular to
-each generator, for k = 3 the cross products of each pair.
+two samples lie in a zonotope: |n d| <= sum |n g| over the normals n of its facets, perpendicular to each
+generator.
 
 Both are necessary conditions: a motion within the bound is never outside.
 """
@@ -32,9 +32,6 @@ import numpy as np
 from canfb.signal.phase import FloatArray
 
 ORDER = 2  # r samples determine the next one (eq. 9)
-MOST_JOINED = (
-    3  # samples behind a hole in one junction: its facets grow with the power k - 1 of the generators
-)
 MOST_NODES = 32  # in a hole; in a longer one they are further apart, and the junction is wider
 SHORT_INTERVAL = 0.75  # below it the weights of eq. 9 are above 2.3 and 1.3: older samples are asked as well
 HOLE_INTERVALS = 1.5  # from here on samples are missing between two
@@ -72,10 +69,6 @@ class Window(NamedTuple):
         last = math.floor(self.high - phase + ROUNDING_CYCLES)
         return range(self.base + first, self.base + last + 1)
 
-    def meet(self, other: Window) -> Window:
-        shift = other.base - self.base
-        return Window(self.base, max(self.low, other.low + shift), min(self.high, other.high + shift))
-
 
 @dataclass(frozen=True)
 class BoundedMotion:
@@ -108,7 +101,7 @@ class BoundedMotion:
         return Window(base, low, high)
 
     def beyond(self, before: tuple[Spot, ...], run: tuple[Spot, ...], time: float) -> Window:
-        """Where a sample at ``time`` is after a hole between ``before`` and ``run``, two samples at most."""
+        """Where a sample at ``time`` is after a hole between ``before`` and ``run``, one sample at most."""
         error = self.error(before)
         base = before[-1].cycles
         zero = before[-1].time
@@ -182,21 +175,14 @@ def junction(
     errors: tuple[float, ...],
     error: float,
 ) -> Facets:
-    """The zonotope of the deviations of one to three samples at the times ``behind`` from the
-    extrapolation.
+    """The zonotope of the deviations of one or two samples at the times ``behind`` from the extrapolation.
 
     ``before`` are the times of the samples before the hole; ``errors`` those of their phases, ``error`` of
     each behind it.
     """
     generators = _generators(largest, before, behind, errors, error)
-    k = len(behind)
-    if k == 1:
-        normals = np.ones((1, 1))
-    elif k == 2:
-        normals = np.stack([-generators[1], generators[0]], axis=1)
-    else:
-        first, second = np.triu_indices(generators.shape[1], 1)
-        normals = np.cross(generators.T[first], generators.T[second])
+    two = len(behind) == 2
+    normals = np.stack([-generators[1], generators[0]], axis=1) if two else np.ones((1, 1))
     lengths = np.linalg.norm(normals, axis=1)
     proper = lengths > 1e-12 * lengths.max()
     normals = normals[proper] / lengths[proper, None]

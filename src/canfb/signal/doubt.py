@@ -14,21 +14,12 @@ themselves M w^(M-1)), a standing input, and a jump.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from canfb.objects import LossCause
-from canfb.signal.bounded_motion import (
-    HOLE_INTERVALS,
-    MOST_JOINED,
-    ORDER,
-    SHORT_INTERVAL,
-    BoundedMotion,
-    Spot,
-    Window,
-)
+from canfb.signal.bounded_motion import HOLE_INTERVALS, ORDER, BoundedMotion, Spot, Window
 from canfb.signal.speeds import apart
 
 FALSE_ACCEPTANCE = 1e-5  # probability per decision that random phases pass for a machine
@@ -94,15 +85,7 @@ class Candidate(NamedTuple):
         before = self.spots[: len(self.spots) - len(run)]
         if self.run < ORDER and before:
             return motion.beyond(before, run, time), True
-        window = motion.window(run if self.run >= ORDER else self.spots, time)
-        apart = (later.time - one.time for one, later in itertools.pairwise(run))
-        if (
-            len(before) >= 2
-            and self.run < MOST_JOINED
-            and min(apart, default=SHORT_INTERVAL) < SHORT_INTERVAL
-        ):
-            window = window.meet(motion.beyond(before, run, time))
-        return window, False
+        return motion.window(run if self.run >= ORDER else self.spots, time), False
 
     def successors(self, phase: float, elapsed: float, motion: BoundedMotion) -> Iterable[Candidate]:
         """With a sample ``elapsed`` intervals later: one for each count in its window."""
