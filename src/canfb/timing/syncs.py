@@ -186,7 +186,6 @@ class Syncs:
         apart_s = time_s - self._received_s
         again = missing is not None and missing == self.overflow - 1 > 0
         if apart_s < (HALF * (grid.rough or inf) if again else SAME_FRAME_S if stamped else 0.0):
-            self._received_s = max(time_s, self._received_s)
             return REPEATED, 0, 0.0
         if stamped != self.stamped and grid.period:  # the line is that of the others
             grid.begin(time_s)
