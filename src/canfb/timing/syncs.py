@@ -187,9 +187,6 @@ class Syncs:
         again = missing is not None and missing == self.overflow - 1 > 0
         if apart_s < (HALF * (grid.rough or inf) if again else SAME_FRAME_S if stamped else 0.0):
             return REPEATED, 0, 0.0
-        if stamped != self.stamped and grid.period:  # the line is that of the others
-            grid.begin(time_s)
-            return self._taken(stamped, missing or 0, doubt=1.0)
         if not grid.period:
             places = apart_s / (grid.rough or inf) if stamped and missing is None else 1.0
             grid.learn(time_s) if stamped else grid.learn_earliest(time_s, self.expected_s())
