@@ -220,7 +220,7 @@ class Syncs:
         if in_turn and (places == 1 or (places > 1 and missing is not None)):
             grid.is_in_turn(time_s)
         elif grid.refuse(time_s):
-            return self._set_again(places, off_s, missing)
+            return self._set_again(places, off_s)
         if places < 1:
             return self._extra(time_s)
         if contradicts and missing is not None:
@@ -246,16 +246,13 @@ class Syncs:
         # Its answer came before it; or it is the next one, and the line is late.
         return EXTRA._replace(doubt=float(self._assumed or not (self.stamped and self.grid.locked))), 0, 0.0
 
-    def _set_again(self, places: int, off_s: float, missing: int | None) -> Judged:
+    def _set_again(self, places: int, off_s: float) -> Judged:
         grid, before_s = self.grid, self.grid.period
         changed = grid.set_again(grid.row)
         doubt = max(1.0, grid.period / before_s) if changed else abs(off_s) / before_s
         self.late_s = 0.0
         self._grouped, self._earliest_s = 0, inf
-        lost = 0 if changed else places - 1
-        if missing is not None:
-            lost = self._nearest(missing, lost)
-        return self._taken(self.stamped, max(0, lost), doubt=doubt)
+        return self._taken(self.stamped, 0 if changed else max(0, places - 1), doubt=doubt)
 
     # Without.
 
@@ -279,7 +276,7 @@ class Syncs:
         if in_time and not doubt:
             grid.is_in_turn(time_s, may_be_late=True)
         elif grid.refuse_call(time_s, early, self.expected_s()):
-            return self._relocked(late_s, turn, missing)
+            return self._relocked(late_s, turn)
         if early and missing is None and time_s - self._received_s < FASTER * grid.period:
             return self._extra(time_s)
         if not late and self.late_s and late_s < HALF * grid.period:
@@ -292,10 +289,10 @@ class Syncs:
         grid.skip(1 + lost)
         return verdict, 0, 0.0
 
-    def _relocked(self, late_s: float, turn: int, missing: int | None) -> Judged:
+    def _relocked(self, late_s: float, turn: int) -> Judged:
         late = abs(late_s) / self.grid.period
         behind = round(late_s / self.grid.period / turn) * turn
-        verdict, _, _ = self._set_again(1, late_s, missing)
+        verdict, _, _ = self._set_again(1, late_s)
         lost = max(0, behind) if verdict.doubt == late else 0
         self.place += lost
         return verdict._replace(lost=verdict.lost + lost, doubt=max(1.0, verdict.doubt)), 0, 0.0
