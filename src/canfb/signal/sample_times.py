@@ -153,8 +153,6 @@ class SampleTimes:
         apart_s, heard_apart_s = _apart_s(self._synced_s, synced_s), _apart_s(self._received_s, received_s)
         if intervals < CLOSEST:
             kind = CROWDED if ticks > 0 else REPEATED if intervals >= -OLDEST else SUSPECT
-            if kind == CROWDED and heard_apart_s is not None and heard_apart_s - passed_s > unsure_s:
-                kind = SUSPECT
             return self._refused(time_100ns, ticks, counted, kind, received_s, synced_s)
         by_count = round(intervals), (intervals - counted) * unit / TICK_S
         places, off = grid.nearest(self._at + ticks) if grid.period else by_count
