@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from canfb.objects import LossCause
 from canfb.signal import speeds
+from canfb.signal.doubt import SAME_TIME
 from canfb.signal.estimator import Estimator
 from canfb.signal.sample import Feedback, Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
@@ -159,13 +160,15 @@ class Reference:
 
     # Zero pulses.
 
-    def pulse(self, after: Track | Feedback, place: float, time: float, elapsed: float) -> Pulse:
-        """:func:`pulse_between` the last two samples, with the acceleration by the last three.
+    def pulse(self, after: Track | Feedback, place: float, time: float, elapsed: float) -> Pulse | None:
+        """:func:`pulse_between` the last two samples, by the last three; None unless both were counted.
 
         Of a machine that creeps, samples further back show the direction.
         """
         # The first is as the estimator has it: the speed up to here may be known only now.
-        places, before = self.estimator.places, self.estimator.tracker.places[0]
+        places, (before, _, apart) = self.estimator.places, self.estimator.tracker.places
+        if apart - elapsed > SAME_TIME:
+            return None
         pulse = pulse_between(before, after, place, time, elapsed, speeds.acceleration(places))
         if pulse.direction or self.estimator.lost:
             return pulse
