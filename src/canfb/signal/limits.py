@@ -155,13 +155,9 @@ class Declared:
         return self.coast_samples * self.samples_per_sync
 
     @property
-    def first_limit(self) -> float:
-        return max(self.residual_limit, self.widest_limit or 0.0)
-
-    @property
     def start_error(self) -> float:
-        """The part of :attr:`first_limit` that no acceleration and no phase error explains, cycles."""
-        return self.first_limit - self.residual_limit
+        """The part of :attr:`widest_limit` that no acceleration and no phase error explains, cycles."""
+        return max(0.0, (self.widest_limit or 0.0) - self.residual_limit)
 
     @property
     def assumes(self) -> bool:
