@@ -210,8 +210,10 @@ class FrameWords:
     def __init__(self, described: ObjectDescriptions) -> None:
         self._described = described
         self._pdos: dict[int, tuple[str, int, Pdo]] = {}
+        self._modules: set[int] = set()
 
     def learn(self, node: int, read: Read) -> None:
+        self._modules.add(node)
         for name, parameters, mapping in PARAMETERS:
             for pdo in valid_pdos(read, parameters, mapping):
                 if pdo.entries:
@@ -222,7 +224,7 @@ class FrameWords:
         known = self._pdos.get(frame.can_id)
         if known is not None and not frame.rtr:
             return self._decoded(frame, *known)
-        kind, node, text = _service(frame, {node for _, node, _ in self._pdos.values()})
+        kind, node, text = _service(frame, self._modules)
         return DecodedFrame(frame, kind, node, text, {})
 
     def _decoded(self, frame: Frame, name: str, node: int, pdo: Pdo) -> DecodedFrame:

@@ -161,7 +161,8 @@ class Reference:
     # Zero pulses.
 
     def pulse(self, after: Track | Feedback, place: float, time: float, elapsed: float) -> Pulse | None:
-        """:func:`pulse_between` the last two samples, by the last three; None unless both were counted.
+        """:func:`pulse_between` the last two samples, with the acceleration by the last three; None unless
+        both were counted.
 
         Of a machine that creeps, samples further back show the direction.
         """
