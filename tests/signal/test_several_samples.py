@@ -57,8 +57,8 @@ def test_groups_give_the_same_bits_as_samples_one_by_one(per_sync: int, data: st
         position += speed
         pairs.append(data.draw(spoilt) or counts_at(position, AMPLITUDE))
     flat, grouped = chain(1), chain(per_sync)
-    most = {"coast_samples": 3 * per_sync, "bad": grouped.stages.estimator.declared.bad_samples}
-    flat.set_limits(replace(ChainConfig().chain_limits, **most))
+    bad = grouped.stages.estimator.declared.bad_samples
+    flat.set_limits(replace(ChainConfig().chain_limits, coast_samples=3 * per_sync, bad=bad))
     for start in range(0, len(pairs), per_sync):
         *earlier, newest = pairs[start : start + per_sync]
         expected = [flat.step(Sample(*pair)) for pair in pairs[start : start + per_sync]]
