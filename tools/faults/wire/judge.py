@@ -160,10 +160,8 @@ class Judge:
             return False
         for _, one in self._samples():
             if one.pdo and one.now <= self._last_wrong:
-                heard, due = (
-                    self._last_sync(one.pdo.time),
-                    math.floor(one.pdo.time) - 1,
-                )  # slot n is due at n + 1
+                heard = self._last_sync(one.pdo.time)
+                due = math.floor(one.pdo.time) - 1  # slot n is due at n + 1
                 shown.append((max(heard, due, line.sample_slots[one.pdo.number]), one.position))
         return self._is_legal(shown)
 
@@ -174,20 +172,22 @@ class Judge:
         if not (self._plan.setup.times and 0.0 < max(off, default=0.0) <= self._tolerance):
             return False
         shown = [(line.named[n], one.position) for n, one in self._samples()]
-        if self._plan.setup.servo:
-            return self._is_legal(self._with_earlier(shown), 4.0 * LIMIT_MARGIN)  # noise / step^2, at T/2
+        if servo := self._plan.setup.servo:  # noise / step^2
+            return self._is_legal(self._with_earlier(shown, servo), servo * servo * LIMIT_MARGIN)
         fastest = max(abs(two - one) for one, two in pairwise(line.positions))
         rounded = 2.0 * fastest * TICK_S / self._plan.options.interval_s  # second differences of times
         return self._is_legal(shown, LIMIT_MARGIN + rounded)
 
-    def _with_earlier(self, shown: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        """With the earlier pair of each PDO, T/2 before, in the cycle that its speed gives, not over gaps."""
+    def _with_earlier(self, shown: list[tuple[float, float]], per_sync: int) -> list[tuple[float, float]]:
+        """With the earlier pairs of each PDO, in the cycle that its speed gives, not over gaps."""
         pairs = []
         for ((before, x), (named, y)), (n, _) in zip(pairwise(shown), self._samples()[1:], strict=True):
-            true = self._plan.motion.at([self._line.sample_times[n] - 0.5])[0] - self._base
-            expected = y - 0.5 * within_half(y - x, RANGE_CYCLES) / (named - before)
-            earlier = (named - 0.5, expected + within_half(true - expected, 1.0))
-            pairs += [earlier, (named, y)] if named - before < 1.5 else [(named, y)]
+            for k in range(per_sync - 1, 0, -1) if named - before < 1.5 else ():
+                ago = k / per_sync
+                true = self._plan.motion.at([self._line.sample_times[n] - ago])[0] - self._base
+                expected = y - ago * within_half(y - x, RANGE_CYCLES) / (named - before)
+                pairs.append((named - ago, expected + within_half(true - expected, 1.0)))
+            pairs.append((named, y))
         return pairs
 
     def _samples(self) -> list[tuple[int, Shown]]:
