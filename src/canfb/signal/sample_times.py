@@ -149,11 +149,11 @@ class SampleTimes:
         unit = self.unit_s
         self.passed = intervals = ticks * TICK_S / unit
         self.off = abs(intervals - counted)
-        passed_s, unsure_s = ticks * TICK_S, UNDECLARED * unit
-        apart_s, heard_apart_s = _apart_s(self._synced_s, synced_s), _apart_s(self._received_s, received_s)
         if intervals < CLOSEST:
             kind = CROWDED if ticks > 0 else REPEATED if intervals >= -OLDEST else SUSPECT
             return self._refused(time_100ns, ticks, counted, kind, received_s, synced_s)
+        passed_s, unsure_s = ticks * TICK_S, UNDECLARED * unit
+        apart_s, heard_apart_s = _apart_s(self._synced_s, synced_s), _apart_s(self._received_s, received_s)
         by_count = round(intervals), (intervals - counted) * unit / TICK_S
         places, off = grid.nearest(self._at + ticks) if grid.period else by_count
         off_s = abs(off) * TICK_S

@@ -290,12 +290,9 @@ class Syncs:
         return verdict, 0, 0.0
 
     def _relocked(self, late_s: float, turn: int) -> Judged:
-        late = abs(late_s) / self.grid.period
         behind = round(late_s / self.grid.period / turn) * turn
-        verdict, _, _ = self._set_again(1, late_s)
-        lost = max(0, behind) if verdict.doubt == late else 0
-        self.place += lost
-        return verdict._replace(lost=verdict.lost + lost, doubt=max(1.0, verdict.doubt)), 0, 0.0
+        verdict, _, _ = self._set_again(1 + behind, late_s)
+        return verdict._replace(doubt=max(1.0, verdict.doubt)), 0, 0.0
 
     def _early_s(self, counted: bool) -> float:
         """Off its place, of a SYNC that is early: as no counter says that it is the next one."""
