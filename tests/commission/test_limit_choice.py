@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -186,12 +187,12 @@ def noise(seed: int) -> FloatArray:
     return np.random.default_rng(seed).uniform(-1500, 1500, COUNT)
 
 
+def few(n: int, one: TrackSamples) -> TrackSamples:
+    return TrackSamples.of(one.sine[:n], one.cosine[:n], RATE_HZ, "few")
+
+
 REFUSED: list[tuple[Changed, bool, str]] = [
-    (
-        lambda one: TrackSamples.of(one.sine[:1500], one.cosine[:1500], RATE_HZ, "few"),
-        True,
-        "1500 usable samples of 1500 are too few",
-    ),
+    *((partial(few, n), True, f"{n} usable samples of {n} are too few") for n in (1, 1500)),
     (lambda one: one, False, "did not say its speed"),
     (lambda one: replace(one, rate_hz=None), True, "rate of the samples is not known"),
     (lambda one: replace(one, sine=np.nan * one.sine), True, "did not come"),

@@ -278,13 +278,13 @@ def observe(
     if not samples.rate_hz:
         raise CommissioningError("the rate of the samples is not known: are SYNCs received?")
     interval_s = 1.0 / samples.rate_hz
-    start_speed, followed = _follow(samples, used, limits, readings, interval_s)
-    valid = int(np.count_nonzero(followed.valid))
-    if valid < LEAST_SAMPLES:
+    came = len(samples) - samples.missed
+    if came < LEAST_SAMPLES:
         raise CommissioningError(
-            f"{valid} usable samples of {len(samples)} are too few, at least {LEAST_SAMPLES} are required: "
-            "set a longer --seconds"
+            f"{came} usable samples of {len(samples)} are too few, at least {LEAST_SAMPLES} are required: "
+            f"set a longer --seconds{_missed_words(samples)}"
         )
+    start_speed, followed = _follow(samples, used, limits, readings, interval_s)
     flagged = followed.flagged
     if sum(flagged.values()) > MOST_FLAGGED * len(samples):
         raise CommissioningError(
@@ -352,12 +352,15 @@ def _follow(
     followed = supervise(samples, used, limits.chain_limits(interval_s), start)
     if abs(off - round(off)) <= AGREES_CYCLES and followed.valid.mean() > 0.5:
         return start, followed
-    missed = f"; {samples.missed} samples did not come" if samples.missed else ""
     raise CommissioningError(
-        f"the position is lost in the samples ({in_words(followed.flagged) or 'none flagged'}{missed}): find "
-        "the cause of what is flagged; else the machine accelerates by more than the residual limit, or "
-        "samples are lost: increase the SYNC rate"
+        f"the position is lost in the samples ({in_words(followed.flagged) or 'none flagged'}"
+        f"{_missed_words(samples)}): find the cause of what is flagged; else the machine accelerates by more "
+        "than the residual limit, or samples are lost: increase the SYNC rate"
     )
+
+
+def _missed_words(samples: TrackSamples) -> str:
+    return f"; {samples.missed} samples did not come" if samples.missed else ""
 
 
 def _coarse_spread(
