@@ -148,10 +148,20 @@ RECORDED = ("--source", "recording", "--recorder", "module")
 NO_INTERFACE = (
     r"encoder interface 17 \(11h\) does not answer, .* from node 16 \(10h, PDO 190h\): set the right"
 )
+
+
+def away_for_a_moment() -> Bench:
+    bench = Bench()
+    receive = bench.module.receive
+    bench.module.receive = lambda frame, now: [] if 1.0 <= now < 1.4 else receive(frame, now)  # type: ignore[method-assign]
+    return bench
+
+
 NOT_OPERATIONAL = r"module 32 \(20h\) has .* OPERATIONAL"
 REFUSED: list[tuple[Callable[[], Bench], list[tuple[str, ...]], str]] = [
     (Bench, [(), MODULE, RECORDED, RECORDED[:2], ("--check",), (*MODULE, "--check")], NO_INTERFACE),
     (Bench, [MODULE, RECORDED, (*MODULE, "--check")], NOT_OPERATIONAL),
+    (away_for_a_moment, [(*RECORDED, "--dry-run"), MODULE, (*MODULE, "--check")], "no answer"),
     (OwnConverter, [(), MODULE], "--source recording --recorder module"),
     (
         lambda: with_calculator(Bench(motion=Motion(()))),

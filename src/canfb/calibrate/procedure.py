@@ -24,6 +24,7 @@ from canfb.master.all_or_nothing import (
     Guard,
     change,
     check_crc,
+    put_back,
     put_in_force,
     put_in_force_again,
     read_active,
@@ -218,7 +219,11 @@ def let_check(module: NodeAccess, progress: Progress) -> tuple[float, float, flo
 def discard(module: NodeAccess) -> None:
     """Drop a measurement that has not been accepted; what is active stays so. Never fails."""
     with contextlib.suppress(CanfbError):
-        module.write(*od.MEASUREMENT_COMMAND, "B", od.MeasurementCommand.STOP)
+        put_back(
+            module,
+            "2030:01 = 0",
+            lambda: module.write(*od.MEASUREMENT_COMMAND, "B", od.MeasurementCommand.STOP),
+        )
 
 
 def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Measurement:

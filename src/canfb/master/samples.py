@@ -27,6 +27,7 @@ from canfb.master.access import (
     Unchanged,
     subscribed,
 )
+from canfb.master.all_or_nothing import put_back
 from canfb.signal.phase import ArrayLike, FloatArray
 from canfb.signal.sample import TICK_S, TICKS
 from canfb.sources.sample_files import read_tracks, with_gaps
@@ -347,7 +348,9 @@ def record(
     try:
         _wait(node, duration_s, least_samples, progress)
     finally:
-        node.write(*od.RECORDING_COMMAND, "B", od.RecordingCommand.STOP)
+        put_back(
+            node, "2050:01 = 0", lambda: node.write(*od.RECORDING_COMMAND, "B", od.RecordingCommand.STOP)
+        )
     count = node.integer(*od.RECORDING_RECORDED, "I")
     if not count:
         raise CommissioningError(f"{node.name} has recorded nothing (2050:02): is it OPERATIONAL?")
