@@ -10,6 +10,7 @@ import struct
 import sys
 from collections.abc import Callable, Iterator
 from typing import Any
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -163,8 +164,10 @@ def test_a_bus_in_a_few_words(words: dict[str, Any], text: str) -> None:
     assert describe(words) == text
 
 
-def test_two_groups_are_two_buses(multicast_bus: can.BusABC) -> None:
-    """With python-can alone all three would hear the frame, on Linux."""
+def test_two_groups_are_two_buses_of_frames(
+    multicast_bus: can.BusABC, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With python-can alone all three would hear the frame, on Linux, and a datagram that is none fails."""
     words = {"interface": "udp_multicast", "hop_limit": 0}
     # Groups of this process: tests beside this one have others.
     third, fourth = divmod(os.getpid() % 65000, 254)
@@ -174,11 +177,17 @@ def test_two_groups_are_two_buses(multicast_bus: can.BusABC) -> None:
         open_bus(words | {"channel": groups[0]}) as same,
         open_bus(words | {"channel": groups[1]}) as other,
     ):
+        for data in (b"", b"no frame", b"\x81\xa1x\x01", bytes(2000)):
+            one._multicast.send(data)  # type: ignore[attr-defined]
         one.send(can.Message(arbitration_id=0x123, is_extended_id=False))
         heard = same.recv(5.0)
         assert heard is not None
         assert heard.arbitration_id == 0x123
         assert other.recv(0.0) is None
+        failure = because(can.CanOperationError("Failed to wait"), OSError(errno.ENETDOWN, "down"))
+        monkeypatch.setattr(same._multicast, "recv", Mock(side_effect=failure))  # type: ignore[attr-defined]
+        with pytest.raises(can.CanOperationError, match="Failed to wait"):
+            same.recv(0.0)
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ import ipaddress
 import re
 import sys
 import zlib
-from collections.abc import Iterator, Mapping
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,8 @@ _GROUPS_OF_PYTHON_CAN = frozenset(
     for group in (UdpMulticastBus.DEFAULT_GROUP_IPv4, UdpMulticastBus.DEFAULT_GROUP_IPv6)
 )
 
+_Received = tuple[can.Message | None, bool]  # of a bus of python-can, and whether it is filtered
+
 _MISSING = re.compile(r"missing \d+ required [a-z -]+ arguments?: (.*)")
 
 
@@ -52,10 +54,22 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
             words |= {} if port is None else {"port": port}
     with _failing_in_one_line(options):
         bus = can.Bus(**words)
+    if isinstance(bus, UdpMulticastBus):
+        bus._recv_internal = partial(_frame_of, bus._recv_internal)  # type: ignore[method-assign]
     if bus.channel_info == can.BusABC.channel_info:  # some have none
         bus.channel_info = f"{type(bus).__name__} {getattr(bus, 'channel', '')}"
     enlarge_queue_of(bus)
     return bus
+
+
+def _frame_of(receive: Callable[[float | None], _Received], timeout: float | None) -> _Received:
+    """Nothing for a datagram that is no frame."""
+    try:
+        return receive(timeout)
+    except can.CanOperationError as error:
+        if error.__cause__ is None or isinstance(error.__cause__, OSError):
+            raise
+        return None, False
 
 
 def _completed(options: dict[str, Any]) -> dict[str, Any]:
