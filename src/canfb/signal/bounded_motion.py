@@ -23,6 +23,7 @@ Both are necessary conditions: a motion within the bound is never outside.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -90,81 +91,51 @@ class BoundedMotion:
     def window(self, spots: tuple[Spot, ...], time: float) -> Window:
         """Where a sample at ``time`` is after these, two at least, the newest last."""
         error = self.error(spots)
-        base = spots[-1].cycles
         low, high = -math.inf, math.inf
-        last_two = spots[-ORDER:]
-        short = abs(last_two[1].time - last_two[0].time) < SHORT_INTERVAL
-        for older in spots[-BASELINES:-1] if short else last_two[:-1]:
-            some = (older, spots[-1])
-            centre, radius = extrapolation(some, time, base, self.largest, error)
+        short = abs(spots[-1].time - spots[-2].time) < SHORT_INTERVAL
+        for older in spots[-BASELINES:-1] if short else spots[-ORDER:-1]:
+            centre, radius = self._extrapolation((older, spots[-1]), time, error)
             low, high = max(low, centre - radius), min(high, centre + radius)
-        return Window(base, low, high)
+        return Window(spots[-1].cycles, low, high)
 
     def beyond(self, before: tuple[Spot, ...], run: tuple[Spot, ...], time: float) -> Window:
         """Where a sample at ``time`` is after a hole between ``before`` and ``run``, one sample at most."""
         error = self.error(before)
-        base = before[-1].cycles
-        zero = before[-1].time
         known = before[-ORDER:]
-        facets = junction(
+        base, zero = known[-1].cycles, known[-1].time
+        slopes, limits = junction(
             self.largest,
             tuple(round(spot.time - zero, 9) for spot in known),
             tuple(round(one - zero, 9) for one in (*(spot.time for spot in run), time)),
             tuple(error + spot.error for spot in known),
             error,
         )
-        deviations = [(spot.cycles - base) + spot.phase - _centre(known, spot.time, base) for spot in run]
-        centre = _centre(known, time, base)
-        least, most = facets.last(deviations)
-        return Window(base, centre + least, centre + most)
+        away = sum(
+            (spot.cycles - base) + spot.phase - self._extrapolation(known, spot.time, error)[0]
+            for spot in run
+        )
+        centre, _ = self._extrapolation(known, time, error)
+        least, most = (slopes * away - limits).max(), (slopes * away + limits).min()
+        return Window(base, centre + float(least), centre + float(most))
+
+    def _extrapolation(self, spots: tuple[Spot, ...], time: float, error: float) -> tuple[float, float]:
+        """Centre, cycles from the cycle count of the newer of two, and radius of the window at ``time``."""
+        times = tuple(spot.time for spot in spots)
+        factors, base = weights(times, time), spots[-1].cycles
+        centre = sum(w * ((spot.cycles - base) + spot.phase) for w, spot in zip(factors, spots, strict=True))
+        spread = sum(abs(w) * (error + spot.error) for w, spot in zip(factors, spots, strict=True))
+        return centre, self.largest * scale(times, time) + error + spread
 
 
-def weights(times: tuple[float, ...], time: float) -> tuple[float, ...]:
+def weights(times: Sequence[float], time: float) -> tuple[float, float]:
     """Of Lagrange: how often the values at two ``times`` count in the extrapolation to ``time``."""
     ratio = (time - times[1]) / (times[1] - times[0])
     return -ratio, 1.0 + ratio
 
 
-def scale(times: tuple[float, ...], time: float) -> float:
+def scale(times: Sequence[float], time: float) -> float:
     """prod |time - t_i| / r!: how often the bound counts at ``time``."""
     return abs(time - times[0]) * abs(time - times[1]) / 2.0
-
-
-def extrapolation(
-    spots: tuple[Spot, ...], time: float, base: int, largest: float, error: float
-) -> tuple[float, float]:
-    """Centre, cycles from the cycle count ``base``, and radius of the window at ``time``."""
-    times = tuple(spot.time for spot in spots)
-    factors = weights(times, time)
-    centre = sum(w * ((spot.cycles - base) + spot.phase) for w, spot in zip(factors, spots, strict=True))
-    spread = sum(abs(w) * (error + spot.error) for w, spot in zip(factors, spots, strict=True))
-    return centre, largest * scale(times, time) + error + spread
-
-
-def _centre(spots: tuple[Spot, ...], time: float, base: int) -> float:
-    factors = weights(tuple(spot.time for spot in spots), time)
-    return sum(w * ((spot.cycles - base) + spot.phase) for w, spot in zip(factors, spots, strict=True))
-
-
-class Facets:
-    """A zonotope as the intersection of |normal x d| <= limit."""
-
-    __slots__ = ("_before", "_last", "_limits", "_sides")
-
-    def __init__(self, normals: FloatArray, limits: FloatArray) -> None:
-        bounds_last = np.abs(normals[:, -1]) > 1e-9
-        self._last = normals[bounds_last, -1]
-        self._before = normals[bounds_last, :-1]
-        self._limits = limits[bounds_last]
-        self._sides = normals[~bounds_last, :-1], limits[~bounds_last]
-
-    def last(self, deviations: list[float]) -> tuple[float, float]:
-        d = np.array(deviations)
-        if (np.abs(self._sides[0] @ d) > self._sides[1] + ROUNDING_CYCLES).any():
-            return math.inf, -math.inf
-        middle = (self._before @ d) / -self._last
-        half = self._limits / np.abs(self._last)
-        return float((middle - half).max()), float((middle + half).min())
 
 
 @lru_cache(maxsize=512)
@@ -174,39 +145,24 @@ def junction(
     behind: tuple[float, ...],
     errors: tuple[float, ...],
     error: float,
-) -> Facets:
-    """The zonotope of the deviations of one or two samples at the times ``behind`` from the extrapolation.
+) -> tuple[FloatArray, FloatArray]:
+    """Slopes and limits of the facets, for the last of one or two samples at the times ``behind``.
 
-    ``before`` are the times of the samples before the hole; ``errors`` those of their phases, ``error`` of
-    each behind it.
+    ``before`` are the times of the two before the hole; ``errors`` those of their phases, ``error`` of each
+    behind it.
     """
-    generators = _generators(largest, before, behind, errors, error)
-    two = len(behind) == 2
-    normals = np.stack([-generators[1], generators[0]], axis=1) if two else np.ones((1, 1))
-    lengths = np.linalg.norm(normals, axis=1)
-    proper = lengths > 1e-12 * lengths.max()
-    normals = normals[proper] / lengths[proper, None]
-    return Facets(normals, np.abs(normals @ generators).sum(axis=1))
-
-
-def _generators(
-    largest: float,
-    before: tuple[float, ...],
-    behind: tuple[float, ...],
-    errors: tuple[float, ...],
-    error: float,
-) -> FloatArray:
-    """One column each, shape (samples, generators)."""
-    order = len(before)
     gap = behind[0] - before[-1]
     nodes = min(max(0, round(gap) - 1), MOST_NODES)
     between = [before[-1] + gap * (n + 1) / (nodes + 1) for n in range(nodes)]
     times = [*before, *between, *behind]
-    motions = len(times) - order
-    rows = np.zeros((len(times), order + motions))
-    rows[range(order), range(order)] = errors
-    for n in range(order, len(times)):
-        known = tuple(times[n - order : n])
-        rows[n] = weights(known, times[n]) @ rows[n - order : n]
-        rows[n, n] += largest * scale(known, times[n])
-    return np.hstack([rows[-len(behind) :], error * np.eye(len(behind))])
+    new = range(ORDER, len(times))
+    rows = np.diag([*errors, *(largest * scale(times[n - ORDER : n], times[n]) for n in new)])
+    for n in new:
+        rows[n] += weights(times[n - ORDER : n], times[n]) @ rows[n - ORDER : n]
+    generators = np.hstack([rows[-len(behind) :], error * np.eye(len(behind))])
+    if len(behind) == 1:
+        return np.zeros(1), np.abs(generators).sum(axis=1)
+    # Perpendicular to (a, b): |a d_2 - b d_1| <= sum |a b' - b a'|. Those with a = 0 limit d_1 alone.
+    first, last = generators[:, generators[0] != 0.0]
+    slopes = last / first
+    return slopes, np.abs(generators[1] - slopes[:, None] * generators[0]).sum(axis=1)
