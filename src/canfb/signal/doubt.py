@@ -79,19 +79,18 @@ class Candidate(NamedTuple):
             residuals=NO_RESIDUALS,
         )
 
-    def window(self, time: float, motion: BoundedMotion) -> tuple[Window, bool]:
-        """Where its next sample can be; and whether the hole decides that."""
+    def window(self, time: float, motion: BoundedMotion) -> Window:
+        """Where its next sample can be."""
         run = self.run_spots
-        before = self.spots[: len(self.spots) - len(run)]
-        if self.run < ORDER and before:
-            return motion.beyond(before, run, time), True
-        return motion.window(run if self.run >= ORDER else self.spots, time), False
+        if self.run >= ORDER:
+            return motion.window(run, time)
+        return motion.beyond(self.spots[: len(self.spots) - len(run)], run, time)
 
     def successors(self, phase: float, elapsed: float, motion: BoundedMotion) -> Iterable[Candidate]:
         """With a sample ``elapsed`` intervals later: one for each count in its window."""
         start = self.over_hole(0.0) if self.run and elapsed >= HOLE_INTERVALS else self
         time = self.time + elapsed
-        window, joins = start.window(time, motion)
+        window, joins = start.window(time, motion), start.run < ORDER
         chance = start.chance * window.width
         for cycles in window.counts(phase):
             yield Candidate(
@@ -166,9 +165,6 @@ class Decision(NamedTuple):
     candidate: Candidate | None = None
     settled: bool = False
     lost: LossCause | None = None
-
-
-UNDECIDED = Decision()
 
 
 class Doubt:
@@ -285,7 +281,7 @@ class Doubt:
             return Decision(lost=LossCause.AMBIGUOUS)
         if self.followed > MOST_INTERVALS:
             return Decision(lost=LossCause.UNDECIDED)
-        return UNDECIDED
+        return Decision()
 
     def _is_proven(self, one: Candidate) -> bool:
         """Random phases, or a frozen input, would not look like this."""
@@ -324,8 +320,7 @@ class Doubt:
             phase, elapsed, before = self.log[number]
             if phase is None or len(before) != 1:
                 continue
-            window, _ = before[0].window(before[0].time + elapsed, self.motion)
-            if not window.counts(phase):
+            if not before[0].window(before[0].time + elapsed, self.motion).counts(phase):
                 return number
         return contradicted
 

@@ -23,6 +23,7 @@ from canfb.signal import speeds
 from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL, ORDER, SHORT_INTERVAL, Spot
 from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
 from canfb.signal.limits import Declared
+from canfb.signal.speed_hypotheses import Found
 from canfb.signal.speeds import Place, StillPhase
 from canfb.signal.starts import START_SAMPLES, SpeedVerdict, Starts
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
@@ -215,12 +216,12 @@ class Estimator:
             return self._count_on(phase, elapsed, LOST | RESIDUAL)
         if verdict is SpeedVerdict.OPEN and bits & VALID:
             return track, bits & ~VALID | COASTING
-        if verdict is not SpeedVerdict.FOUND:
+        if not isinstance(verdict, Found):
             return track, bits
-        found, origin = self._speeds.last_two, self._speeds.origin
-        last = track.cycles if origin is None else origin + found.last[0]
-        before = Track(last + found.before[0] - found.last[0], found.before[1], 0.0, True)
-        self.tracker.set_places(before, Track(last, phase, 0.0, True), found.elapsed)
+        origin = self._speeds.origin
+        last = track.cycles if origin is None else origin + verdict.last[0]
+        before = Track(last + verdict.before[0] - verdict.last[0], verdict.before[1], 0.0, True)
+        self.tracker.set_places(before, Track(last, phase, 0.0, True), verdict.elapsed)
         if origin is None:
             self.on_speed()
             return self.tracker.places[1], bits
@@ -283,10 +284,13 @@ class Estimator:
 
         Only where nothing is in doubt. 0.0: :meth:`good` has to decide.
         """
-        if (len(self.places) <= START_SAMPLES and self._start_places()) or elapsed >= LONG_INTERVAL:
-            return 0.0
-        last = self.tracker.elapsed
-        if last < SHORT_INTERVAL or len(self.places) < 2:
+        known, last = len(self.places), self.tracker.elapsed
+        if (
+            known < 2
+            or last < SHORT_INTERVAL
+            or elapsed >= LONG_INTERVAL
+            or (known <= START_SAMPLES and self._start_places())
+        ):
             return 0.0
         error = self._error + self._instant_error * abs(self.tracker.step_cycles)
         radius = self._largest * elapsed * (elapsed + last) / 2.0 + error * (2.0 + 2.0 * elapsed / last)
@@ -345,36 +349,31 @@ class Estimator:
         candidate = verdict.candidate
         assert candidate is not None
         spots = candidate.run_spots if verdict.settled else candidate.spots
-        doubt, past = self._doubt, self._past
         elapsed = [1.0, *(b.time - a.time for a, b in itertools.pairwise(spots))]
         before, last = (Track(spot.cycles, spot.phase, 0.0, True) for spot in spots[-2:])
         self.tracker.set_places(before, last, elapsed[-1])
-        if verdict.settled and not self._at_start:  # else the places would count as the first ones
-            self._virtual = None
-        at_start = self._at_start
-        self._forget()
-        self._at_start = at_start
+        self.places.clear()
         self.places.extend((spot.cycles, spot.phase, e) for spot, e in zip(spots, elapsed, strict=True))
-        self._doubt, self._past = (None, doubt) if verdict.settled else (doubt, past)
         self._past_places = len(self.places)
+        if verdict.settled:
+            self._doubt, self._past = None, self._doubt
+            if not self._at_start:  # else the places would count as the first ones
+                self._virtual = None
         return Track(candidate.last.cycles, candidate.last.phase, 0.0, True)
 
     def _spots(self) -> tuple[Spot, ...]:
+        places, virtual = list(self.places)[-SPOTS_KEPT:], self._virtual
+        if len(places) > 2 and places[0] is virtual:
+            del places[0]
         time = 0.0
         spots: list[Spot] = []
-        for place in reversed(self.places):
+        for place in reversed(places):
             cycles, phase, elapsed = place
-            error = 0.0
-            if place is self._virtual:
-                if len(spots) > 1:
-                    break
-                error = self.declared.start_error
+            error = self.declared.start_error if place is virtual else 0.0
             spots.append(Spot(time, cycles, phase, error))
-            if len(spots) == SPOTS_KEPT:
-                break
             time -= elapsed
-        if len(spots) == 1 and self._virtual is not None:
-            cycles, phase, elapsed = self._virtual
+        if len(spots) == 1 and virtual is not None:
+            cycles, phase, elapsed = virtual
             spots.append(Spot(-elapsed, cycles, phase, self.declared.start_error))
         return tuple(reversed(spots))
 
@@ -392,23 +391,19 @@ class Estimator:
     def _log(self) -> list[LogEntry]:
         """The last samples as entries: 2 (m + r - 1) of them, those in a doubt before with its candidates."""
         needed = 2 * (self.declared.bad_samples + ORDER - 1)
-        places = list(self.places)
-        past: list[LogEntry] = []
-        first = ORDER  # the first place that has what predicts it before it
-        if self._past is not None:
-            first = self._past_places if len(places) < REMEMBERED_SAMPLES else first
-            past = self._past.log
-        time = 0.0
         entries: list[LogEntry] = []
+        first = ORDER  # the first place that has what predicts it before it
+        if self._past is not None and len(self.places) < REMEMBERED_SAMPLES:
+            first, entries = self._past_places, self._past.log[:]
+        time = 0.0
         spots: list[Spot] = []
-        for number, (cycles, phase, elapsed) in enumerate(places):
+        for number, place in enumerate(self.places):
+            cycles, phase, elapsed = place
             time += elapsed
             if number >= first:
                 before = tuple(spots[-SPOTS_KEPT:])
                 candidate = Candidate(time - elapsed, before, max(ORDER, len(before)))
                 entries.append(LogEntry(phase, elapsed, (candidate,)))
-            error = self.declared.start_error if places[number] is self._virtual else 0.0
+            error = self.declared.start_error if place is self._virtual else 0.0
             spots.append(Spot(time, cycles, phase, error))
-        if len(places) == REMEMBERED_SAMPLES:
-            past = []
-        return [*past, *entries][-needed:]
+        return entries[-needed:]

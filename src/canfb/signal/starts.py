@@ -17,7 +17,6 @@ UNDECIDED_SAMPLES = 16  # before they count as deciding nothing: 0.43^14
 EVEN = 2e-4  # of the interval: drift of two crystals
 START_SAMPLES = 8  # at q >= 1 uneven times contradict a wrong speed at a start by sample 5 in 95 %
 MOST_WAITING = 64  # samples after a start: at q = 0.4 a wrong speed has gone after 12 to 40
-NOTHING_FOUND = Found((0, 0.0), (0, 0.0), 1.0)
 
 
 class SpeedVerdict(Enum):
@@ -26,7 +25,6 @@ class SpeedVerdict(Enum):
     UNKNOWN = "nothing: the times are even, or all has been said"
     OPEN = "the times are about to tell the speed"
     FALSE_START = "the machine did not start at the speed that was assumed"
-    FOUND = "the speed of a position that was lost"
 
 
 class Starts:
@@ -38,7 +36,6 @@ class Starts:
     def __init__(self, origin: int | None = None) -> None:
         self.origin = origin
         self.active: SpeedHypotheses | None = None
-        self.last_two: Found = NOTHING_FOUND
         self._tried = False
         self._is_declared = self._may_be_uneven = self._acceleration_waits = False
         self._unit = 1.0  # that of the speeds, in intervals as they are counted now
@@ -98,8 +95,11 @@ class Starts:
         speeds.skip(missed)
         return True
 
-    def take(self, phase: float, elapsed: float, lost: bool, count: int | None) -> SpeedVerdict:
-        """A sample; ``count`` is that of the speed assumed, None where it is in doubt."""
+    def take(self, phase: float, elapsed: float, lost: bool, count: int | None) -> SpeedVerdict | Found:
+        """A sample; ``count`` is that of the speed assumed, None where it is in doubt.
+
+        The last two samples at the speed of a position that was lost, once it is found.
+        """
         speeds = self.active
         if speeds is None or not speeds.feed(phase, elapsed / self._unit):
             self.active = self.origin = None  # what is counted from here on lacks the way up to here
@@ -121,12 +121,11 @@ class Starts:
         waits = self._is_declared and not known
         return SpeedVerdict.OPEN if waits else SpeedVerdict.UNKNOWN
 
-    def _of_lost(self, speeds: SpeedHypotheses) -> SpeedVerdict:
+    def _of_lost(self, speeds: SpeedHypotheses) -> SpeedVerdict | Found:
         found = speeds.found
         if found is not None:
-            self.last_two = found._replace(elapsed=found.elapsed * self._unit)
             self.stop()
-            return SpeedVerdict.FOUND
+            return found._replace(elapsed=found.elapsed * self._unit)
         if speeds.samples > UNDECIDED_SAMPLES and not speeds.telling:
             self.active, self.origin = None, None
         return SpeedVerdict.UNKNOWN
