@@ -22,9 +22,11 @@ def coarse(limit: float = 0.125, n: int = N, full: int = FULL) -> CoarseTrack:
     return CoarseTrack(n, full, limit)
 
 
-def pair(track: CoarseTrack, angle: float | None, position: float = 0.0, time: float = 0.0) -> Pair | None:
+def pair(track: CoarseTrack, angle: float, position: float = 0.0, time: float = 0.0) -> Pair:
     cycles = math.floor(position)
-    return track.pair(angle, cycles, position - cycles, time)
+    here = track.pair(angle, cycles, position - cycles, time)
+    assert here is not None
+    return here
 
 
 def aligned(limit: float = 0.125, angle: float = 0.0, position: float = 0.0) -> CoarseTrack:
@@ -34,9 +36,7 @@ def aligned(limit: float = 0.125, angle: float = 0.0, position: float = 0.0) -> 
 
 
 def fits(track: CoarseTrack, angle: float, position: float = 0.0) -> bool:
-    here = pair(track, angle, position)
-    assert here is not None
-    return track.fits(here)
+    return track.fits(pair(track, angle, position))
 
 
 def test_the_amplitude_below_which_it_tells_nothing_is_a_tenth_of_the_full_scale() -> None:
@@ -95,7 +95,6 @@ def search(
         turn = true / n
         angle = (turn + error * (math.sin(2 * math.pi * turn) + math.cos(4 * math.pi * turn)) / 2) % 1.0
         here = pair(track, angle, 5.25 + (speed - missing) * k * elapsed, k * elapsed)
-        assert here is not None
         if (found := track.missing_speed(here)) is not None:
             return k + 1, found
     return None
@@ -211,15 +210,15 @@ def test_started_on_a_turning_machine(speed: float, fault: str) -> None:
     assert np.ptp(found) < 0.03
 
 
-@pytest.mark.parametrize("outage", [4, 30, 500])
-def test_a_lost_position_is_set_right_by_coarse_track_and_zero_pulse(outage: int) -> None:
+@each("outage, speed, every", [(4, 86.4, 1), (30, 86.4, 1), (500, 86.4, 1), (30, 5.3, 2), (30, 5.3, 3)])
+def test_a_lost_position_is_set_right_by_coarse_and_pulse(outage: int, speed: float, every: int) -> None:
     machine = moving(83.1, 300, position=1234.56, coarse=0.008, mark=0.0)
     got = machine.step()
     right = machine.error(got)
     assert got.status & StatusBit.REFERENCED
-    machine.speed = 86.4
+    machine.speed, machine.every = speed, every
     assert [machine.spoil() for _ in range(outage)][-1].status & StatusBit.LOST
-    after = errors(machine, 1200)
+    after = errors(machine, 2000)
     assert after[-1][0].valid
     wrong = of_valid(after) - right
     assert np.abs(wrong - np.rint(wrong / machine.n) * machine.n).max() < 0.04

@@ -73,7 +73,7 @@ def passed(
 ) -> tuple[int, int]:
     """What the chain makes of a sample with a zero pulse, one interval after the one before."""
     edge = pulse_between(track(before), track(after), place, time, 1.0, 0.0)
-    return made.apply(Sample(1.0, 0.0, zero_pulse=place, **rest), track(after), bits, edge, 1.0)
+    return made.apply(Sample(1.0, 0.0, zero_pulse=place, **rest), track(after), bits, edge, time, True)
 
 
 def pulse(made: Reference, speed: float, time: float) -> tuple[int, int]:
@@ -93,8 +93,8 @@ def test_a_search_begins_anew_at_a_sample_that_was_not_taken(not_taken: int | No
     made, sample = reference(Noted(lost=False)), Sample(1.0, 0.0, coarse_sine=1500.0, coarse_cosine=0.0)
     for number in range(7):
         bad = number == not_taken
-        made.passed(1.0, itself or not bad)
-        bits, _ = made.apply(sample, track(3.0), VALID, None, 0.0 if bad and itself else 1.0)
+        made.passed(itself or not bad)
+        bits, _ = made.apply(sample, track(3.0), VALID, None, 2.0 * number, not (bad and itself))
         assert bool(bits & VALID) == (number >= (4 if not_taken is None else not_taken + 5) - 1)
 
 

@@ -55,12 +55,13 @@ class Machine:
     ) -> None:
         self.speed, self.position, self.coarse, self.mark, self.width = speed, position, coarse, mark, width
         self.chain = SignalChain(ChainConfig(**config))
+        self.every = 1  # so many samples share a coarse track
         self.n = self.chain.reference.zero.cycles_per_revolution
 
     def sample(self, **rest: Any) -> Sample:
         before = self.position
         self.position += self.speed
-        if self.coarse is not None:
+        if self.coarse is not None and not self.chain.samples % self.every:
             turn = self.position / self.n
             angle = 2 * math.pi * (turn + self.coarse * math.sin(2 * math.pi * turn))
             rest |= {"coarse_sine": AMPLITUDE * math.sin(angle), "coarse_cosine": AMPLITUDE * math.cos(angle)}

@@ -364,7 +364,7 @@ class SignalChain:
             extras = Extras(one._replace(zero_pulse=None), next_one=next_one, newest=False)
             feedback = stages.take(float(one.sine), float(one.cosine), one.elapsed, timed, extras)
             after = stages.place
-            self.reference.passed(one.elapsed, after is not None)
+            self.reference.passed(after is not None)
             if after is None or (between and (between[-1].status ^ feedback.status) & (VALID | LOST)):
                 pulse = None
             elif one.zero_pulse is not None and follows:

@@ -311,10 +311,11 @@ class Stages:
                 bits,
                 # Until the other sensor has confirmed the speed of a start, a pulse has no place.
                 pulse if self.second is None or self.second.witness.proven or estimator.lost else None,
-                elapsed if follows else 0.0,
+                self.clock,
+                follows,
             )
         if self.second is not None:
-            bits, jump = self.second.apply(track, bits, jump, elapsed, measured, no_coarse, newest)
+            bits, jump = self.second.apply(track, bits, jump, self.clock, measured, no_coarse, newest)
         self.place = track if measured and jump == 0 else None
         if elapsed > HOLE_INTERVALS and not (next_one and bits & VALID):
             bits |= MISSED

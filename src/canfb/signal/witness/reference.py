@@ -38,7 +38,6 @@ class Reference:
         self.coarse, self.zero = coarse, zero
         self._witnesses: list[Witness] = [coarse]  # that search for the speed
         self.recovered = self.set_right = 0
-        self._time = 0.0
         self.restart()
 
     def restart(self, keep: bool = False) -> None:
@@ -69,29 +68,27 @@ class Reference:
         self.range_known = self._range_from_zero = self._speed_known = False
         self.coarse.disagreeing = 0
         self._first_pulse = None
-        self._passed = 0.0  # since the last coarse track, before this sample; below 0: not all were taken
+        self._all_taken = True  # the samples since the last coarse track, before this one
         self.coarse.restart_search()
 
-    def passed(self, elapsed: float, taken: bool) -> None:
-        """A sample without a coarse track of its own, ``elapsed`` after the one before."""
-        self._passed = self._passed + elapsed if taken and self._passed >= 0.0 else -1.0
+    def passed(self, taken: bool) -> None:
+        """A sample without a coarse track of its own."""
+        self._all_taken &= taken
 
     def apply(
-        self, sample: Sample, track: Track, bits: int, pulse: Pulse | None, elapsed: float
+        self, sample: Sample, track: Track, bits: int, pulse: Pulse | None, time: float, taken: bool
     ) -> tuple[int, int]:
         """Status bits and jump in cycles after this sample; the jump shows in the next position.
 
-        ``track`` and ``bits`` are what the chain made of ``sample``, ``elapsed`` intervals after the one
-        before; 0.0 if either of the two was not taken. ``pulse`` came since then, or shortly before.
+        ``track`` and ``bits`` are what the chain made of ``sample`` at ``time``, intervals; ``taken``: it
+        and the one before were. ``pulse`` came since then, or shortly before.
         """
-        elapsed = elapsed + self._passed if elapsed and self._passed >= 0.0 else 0.0
-        self._passed = 0.0
+        taken, self._all_taken = taken and self._all_taken, True
         jump, pair, recovered = 0, None, self.recovered
         if sample.coarse_sine is not None and sample.coarse_cosine is not None:
-            self._time += elapsed
             angle = self.coarse.angle(float(sample.coarse_sine), float(sample.coarse_cosine))
-            pair = self.coarse.pair(angle, track.cycles, track.phase, self._time)
-            bits, jump = self._hear_coarse(pair, bits, elapsed > 0.0)
+            pair = self.coarse.pair(angle, track.cycles, track.phase, time)
+            bits, jump = self._hear_coarse(pair, bits, taken)
         if pulse is not None and jump == 0 and self.recovered == recovered:  # else it is of the speed before
             bits, jump = self._pulse(pulse, bits, pair)
         if self.in_doubt and bits & VALID:

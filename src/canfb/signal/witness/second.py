@@ -136,7 +136,6 @@ class SecondPosition:
         self.witness.restart(keep)
         self._values.restart(keep)
         self._waited = self._samples_since_start = 0
-        self._time = 0.0
         self.difference_cycles: float | None = None
         """How much further the other sensor stands than the position; None while that is not known."""
         self._forget_sample()
@@ -145,7 +144,7 @@ class SecondPosition:
         self._place: tuple[Track, int, float] | None = None  # the last sample: place, status bits, time
         self._before: deque[Track] = deque(maxlen=MOST_LATE)  # places of the samples before it
         self._samples = 0  # since a value was heard
-        self._passed, self._all_taken = 0.0, True  # of the earlier samples of the same SYNC
+        self._all_taken = True  # the earlier samples of the same SYNC
         self._heard: int | None = None
         self._restart_search()
 
@@ -176,23 +175,22 @@ class SecondPosition:
         track: Track,
         bits: int,
         jump: int,
-        elapsed: float,
+        time: float,
         taken: bool,
         alone: bool,
         newest: bool = True,
     ) -> tuple[int, int]:
-        """Status bits and jump in cycles after a sample, ``elapsed`` intervals after the one before.
+        """Status bits and jump in cycles after a sample at ``time``, intervals.
 
         ``taken``: it was there and good. ``alone``: no coarse track determines the speed. ``newest``: of
         the samples of a SYNC.
         """
-        elapsed += self._passed
         taken = taken and self._all_taken and not bits & (RESIDUAL | COASTING)
         if not newest:  # no value belongs to it
-            self._passed, self._all_taken = elapsed, taken
+            self._all_taken = taken
             self._shift(jump)
             return self._bits(bits), jump
-        self._passed, self._all_taken = 0.0, True
+        self._all_taken = True
         lost = self._reference.estimator.lost
         was_lost = self._place is not None and bool(self._place[1] & LOST)
         if not taken or lost != was_lost:
@@ -202,8 +200,8 @@ class SecondPosition:
             self._samples_since_start += 1
         heard, self._heard = self._heard, None
         if heard is not None and self._place is not None:
-            place, place_bits, time = self._place
-            pair = Pair(place.cycles, place.phase, heard, time)
+            place, place_bits, place_time = self._place
+            pair = Pair(place.cycles, place.phase, heard, place_time)
             if lost:
                 if (
                     alone
@@ -218,10 +216,9 @@ class SecondPosition:
                 self._judge(pair, taken and not self._reference.in_doubt, alone)
         elif not lost:
             self._wait()
-        self._time += elapsed
         if self._place is not None:
             self._before.append(self._place[0])
-        self._place = track, bits, self._time
+        self._place = track, bits, time
         self._shift(jump)
         return self._bits(bits), jump
 
