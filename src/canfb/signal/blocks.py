@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,36 +27,25 @@ def aligned(samples: int, kind: npt.DTypeLike) -> npt.NDArray[Any]:
 class Scratch:
     """Arrays for intermediate results of a block, made once: fresh memory costs more than arithmetic."""
 
-    __slots__ = ("a", "b", "bit", "bits", "cosine", "digits", "index", "raw", "samples", "sine")
+    __slots__ = ("_arrays", "a", "b", "bit", "bits", "cosine", "digits", "index", "raw", "sine")
 
-    def __init__(self, samples: int) -> None:
-        self.samples = samples
-        self.a, self.b = aligned(samples, np.float64), aligned(samples, np.float64)
-        self.raw, self.sine, self.cosine = (aligned(samples, np.float64) for _ in range(3))
-        self.index = aligned(samples, np.intp)
-        self.digits = tuple(aligned(samples, np.int8) for _ in range(4))
-        self._view_bits()
-
-    def _view_bits(self) -> None:
-        self.bits = tuple(digit.view(np.bool_) for digit in self.digits)
+    def __init__(self, arrays: Sequence[npt.NDArray[Any]]) -> None:
+        self._arrays = arrays
+        self.a, self.b, self.raw, self.sine, self.cosine, self.index, *digits = arrays
+        self.digits = tuple(digits)
+        self.bits = tuple(digit.view(np.bool_) for digit in digits)
         self.bit = self.bits[0]
 
     def head(self, samples: int) -> Scratch:
-        if samples == self.samples:
-            return self
-        part = Scratch.__new__(Scratch)
-        part.samples = samples
-        part.a, part.b, part.index = self.a[:samples], self.b[:samples], self.index[:samples]
-        part.raw, part.sine, part.cosine = self.raw[:samples], self.sine[:samples], self.cosine[:samples]
-        part.digits = tuple(digit[:samples] for digit in self.digits)
-        part._view_bits()
-        return part
+        return self if samples == len(self.a) else Scratch([one[:samples] for one in self._arrays])
+
+
+def scratch_for(samples: int) -> Scratch:
+    return Scratch([aligned(samples, kind) for kind in (*[np.float64] * 5, np.intp, *[np.int8] * 4)])
 
 
 def blocks(samples: int) -> Iterator[tuple[slice, Scratch]]:
-    scratch = Scratch(min(samples, BLOCK_SAMPLES))
+    scratch = scratch_for(min(samples, BLOCK_SAMPLES))
     for start in range(0, samples, BLOCK_SAMPLES):
-        length = min(BLOCK_SAMPLES, samples - start)
-        if length < scratch.samples:
-            scratch = Scratch(length)
-        yield slice(start, start + length), scratch
+        part = slice(start, min(start + BLOCK_SAMPLES, samples))
+        yield part, scratch.head(part.stop - start)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, aligned
+from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, aligned, scratch_for
 from canfb.signal.chain_config import ChainConfig, with_correction
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import AnyTable, CorrectionTable, correction_of
@@ -148,7 +148,7 @@ class Stream:
         self._base_status = 0 if table is None else TABLE_ACTIVE
         self._run_samples = FIRST_RUN
         self._is_first = True
-        self._scratch = Scratch(BLOCK_SAMPLES)
+        self._scratch = scratch_for(BLOCK_SAMPLES)
         self._ok = np.empty(BEFORE + BLOCK_SAMPLES, np.bool_)
 
     def tracks(self, block: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[AnyArray, AnyArray]:
