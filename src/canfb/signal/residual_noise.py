@@ -40,7 +40,6 @@ class ResidualNoise:
         "_eighths",
         "_recent",
         "_reference",
-        "_speed_cycles",
         "due",
         "rms_cycles",
     )
@@ -72,16 +71,14 @@ class ResidualNoise:
         accelerations = self._accelerations
         accelerations.append(feedback.acceleration_cycles)
         self._eighths |= 1 << int(feedback.phase * 8.0)
-        self._speed_cycles = feedback.speed_cycles
-        return len(accelerations) >= BLOCK_SAMPLES + 2 and self._complete(feedback.samples)
+        return len(accelerations) >= BLOCK_SAMPLES + 2 and self._complete(feedback)
 
     def _begin(self) -> None:
         self._accelerations: list[float] = []
         self._eighths = 0
-        self._speed_cycles = 0.0
 
-    def _complete(self, samples: int) -> bool:
-        step = abs(self._speed_cycles - round(self._speed_cycles))
+    def _complete(self, last: Feedback) -> bool:
+        step = abs(last.speed_cycles - round(last.speed_cycles))
         moving = self._eighths.bit_count() >= EIGHTHS and step >= LEAST_STEP
         residuals = self._accelerations[1:]
         self._begin()
@@ -93,5 +90,5 @@ class ResidualNoise:
         self._recent.append(rms)
         if len(self._reference) < REFERENCE_BLOCKS:
             self._reference.append(rms)
-        self.due = samples + 3 * BLOCK_SAMPLES + 1
+        self.due = last.samples + 3 * BLOCK_SAMPLES + 1
         return True

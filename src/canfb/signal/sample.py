@@ -7,6 +7,7 @@ The chain then works in intervals of a sample, 1/m of that of SYNC.
 
 from __future__ import annotations
 
+from math import inf
 from typing import Final, NamedTuple
 
 from canfb.objects import FAULT_WORDS, StatusBit
@@ -54,23 +55,19 @@ def in_order(sample: Sample, passed: float, per_sync: int) -> list[Sample]:
     earlier = sample.earlier[: per_sync - 1]
     while earlier and passed - len(earlier) < LEAST_APART:
         earlier = earlier[:-1]
-    pulse = None if sample.zero_pulse is None else sample.zero_pulse * passed
+    pulse = inf if sample.zero_pulse is None else sample.zero_pulse * passed
     begin = 0.0
     samples: list[Sample] = []
     for sine, cosine in reversed(earlier):
         elapsed = passed - len(earlier) if not samples else 1.0
-        place, pulse = _place(pulse, begin, elapsed)
+        place = None
+        if pulse <= begin + elapsed:
+            place, pulse = (pulse - begin) / elapsed, inf
         samples.append(Sample(sine, cosine, elapsed, zero_pulse=place))
         begin += elapsed
     elapsed = passed - begin
-    place = None if pulse is None else min((pulse - begin) / elapsed, 1.0)
+    place = None if pulse == inf else min((pulse - begin) / elapsed, 1.0)
     return [*samples, sample._replace(elapsed=elapsed, zero_pulse=place)]
-
-
-def _place(pulse: float | None, begin: float, elapsed: float) -> tuple[float | None, float | None]:
-    if pulse is None or pulse > begin + elapsed:
-        return None, pulse
-    return (pulse - begin) / elapsed, None
 
 
 FAULT_BITS: Final = sum(FAULT_WORDS)

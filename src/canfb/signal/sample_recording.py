@@ -39,8 +39,7 @@ class SampleRecording:
         """Add one sample, INTEGER16 counts. Nothing happens when it is full."""
         counts = self._counts
         if len(counts) < 2 * self.capacity:
-            counts.append(sine)
-            counts.append(cosine)
+            counts.extend((sine, cosine))
 
     def miss(self) -> None:
         self.take(MISSED_COUNTS, MISSED_COUNTS)
