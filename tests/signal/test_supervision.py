@@ -258,6 +258,6 @@ def test_a_machine_stands_where_no_number_of_repeats_is_a_fault(
     assert frozen.stands is stands
     flagged += [frozen.repeated(speed) for _ in range(20)]
     assert any(flagged) is not stands
-    frozen.moved()
+    frozen.goes_on(False)
     assert not frozen.stands
     assert frozen.repeats == 0

@@ -282,8 +282,7 @@ class Stages:
                 faults |= FROZEN
         else:
             self._sine, self._cosine = sine, cosine
-            if self._frozen.repeats:
-                self._frozen.moved()
+            self._frozen.repeats = 0
         estimator, reference = self.estimator, self.reference
         estimator.timed = timed
         measured = not (faults or bad) and phase == phase

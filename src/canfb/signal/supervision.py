@@ -141,9 +141,6 @@ class FrozenInput:
         self.repeats = 0
         self._speed = 0.0
 
-    def moved(self) -> None:
-        self.repeats = 0
-
     def repeated(self, speed_cycles: float) -> bool:
         """The counts are those of the sample before; True if the input is frozen.
 
@@ -158,7 +155,7 @@ class FrozenInput:
         if repeated:
             self.repeated(self._speed)
         else:
-            self.moved()
+            self.repeats = 0
         return repeated
 
     @property

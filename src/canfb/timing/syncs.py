@@ -199,9 +199,6 @@ class Syncs:
             return None
         return (counter - self._counter - 1) % self.overflow
 
-    def _nearest(self, missing: int, expected: int) -> int:
-        return missing + self.overflow * round((expected - missing) / self.overflow)
-
     def _taken(self, stamped: bool, lost: int, off: float = 0.0, doubt: float = 0.0) -> Judged:
         self.stamped, self.begun, self.extra_came = stamped, True, False
         self._assumed = self._was_overdue = False
@@ -224,7 +221,7 @@ class Syncs:
         if places < 1:
             return self._extra(time_s)
         if contradicts and missing is not None:
-            counted = self._nearest(missing, places - 1) + 1
+            counted = missing + self.overflow * round((places - 1 - missing) / self.overflow) + 1
             doubt = float(abs(counted - places))
             if not on and doubt <= 1.0:  # between two places the counter says which
                 if counted < 1:
