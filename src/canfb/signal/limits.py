@@ -187,18 +187,15 @@ class Declared:
 
     @cached_property
     def usual(self) -> BoundedMotion:
-        return self._motion(assumed=math.inf, usual=True)
+        weights = 2.0**ORDER
+        widest = max(0.0, self.residual_limit - weights * self.phase_error)
+        largest = widest if self.acceleration is None else min(self.acceleration, self.residual_limit)
+        error = max(0.0, self.residual_limit - largest) / weights
+        return BoundedMotion(largest, error, self.instant_error)
 
     @cached_property
     def in_doubt(self) -> BoundedMotion:
-        return self._motion(assumed=self.doubt_acceleration or math.inf, usual=False)
-
-    def _motion(self, *, assumed: float, usual: bool) -> BoundedMotion:
-        known, weights = self.acceleration, 2.0**ORDER
-        widest, error = max(0.0, self.residual_limit - weights * self.phase_error), self.phase_error
-        largest = widest if known is None else min(known, self.residual_limit)
-        if usual:
-            error = max(0.0, self.residual_limit - largest) / weights
-        elif known is None:
-            largest = min(largest, assumed)
-        return BoundedMotion(largest, error, self.instant_error)
+        largest = self.usual.largest
+        if self.assumes:
+            largest = min(largest, self.doubt_acceleration)
+        return BoundedMotion(largest, self.phase_error, self.instant_error)
