@@ -143,7 +143,7 @@ def test_while_the_speed_is_not_known_a_quarter_of_the_amplitude_is_enough() -> 
     assert supervision.bounds == limits.bounds(after_fault=True)
     supervision.amplitude_known(False)
     assert supervision.bounds == quarter.bounds(after_fault=True)
-    supervision.passed()
+    assert supervision.faults(0.0, 900.0, 900.0) == 0
     assert supervision.bounds == quarter.bounds()
     supervision.set_limits(limits)
     assert supervision.bounds == limits.bounds()

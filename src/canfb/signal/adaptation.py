@@ -52,13 +52,6 @@ class CircleDeviation(NamedTuple):
 NO_DEVIATION = CircleDeviation(0j, 0j)
 
 
-class SectorMeans(NamedTuple):
-    """The deviation, and the mean amplitude in counts."""
-
-    deviation: CircleDeviation
-    amplitude_counts: float
-
-
 class TrackSectors:
     """Takes samples until there are :data:`FEWEST` of them in each sector of the cycle."""
 
@@ -86,7 +79,8 @@ class TrackSectors:
         self.taken += 1
         return self._filled == SECTORS
 
-    def found(self) -> SectorMeans:
+    def found(self) -> tuple[CircleDeviation, float]:
+        """The deviation, and the mean amplitude in counts."""
         rows = list(zip(self._counts, self._places, self._radial, self._tangential, strict=True))
         turning = [complex(radial, tangential) / n for n, _, radial, tangential in rows]
         turns = [cmath.exp(1j * TURN * place / n) for n, place, _, _ in rows]
@@ -96,13 +90,9 @@ class TrackSectors:
         backward = sum(one * turn * turn for one, turn in zip(rest, turns, strict=True)) / SECTORS
         size = abs(fundamental)
         if not size:
-            return SectorMeans(NO_DEVIATION, 0.0)
-        return SectorMeans(
-            CircleDeviation(
-                offset / (LEFT_OF_FIRST * size), backward * fundamental / (LEFT_OF_SECOND * size * size)
-            ),
-            size,
-        )
+            return NO_DEVIATION, 0.0
+        backward = backward * fundamental / (LEFT_OF_SECOND * size * size)
+        return CircleDeviation(offset / (LEFT_OF_FIRST * size), backward), size
 
 
 def deviation_of(correction: Correction) -> CircleDeviation | None:
@@ -272,9 +262,7 @@ class Adaptation:
         self._known = deviation_of(correction)
         self._sum, self._blocks = NO_DEVIATION, 0
         self._forget_result()
-        self.due = NEVER
-        if self.is_on:
-            self._begin(0)
+        self.due = 0 if self.is_on else NEVER
 
     def start_from(self, drift: FollowedDrift) -> None:
         if self.is_on and all(map(math.isfinite, drift)):
@@ -302,13 +290,13 @@ class Adaptation:
             if sectors.taken >= MOST_TAKEN:
                 sectors.begin()
             return False
-        found, seconds = sectors.found(), sectors.taken * self._stride * interval_s
+        (found, amplitude), seconds = sectors.found(), sectors.taken * self._stride * interval_s
         sectors.begin()
         self._recent_until = samples + int(max(RECENT_S, 4.0 * seconds) / interval_s)
         if self._known is None:
-            self._learn_reference(found.deviation)
+            self._learn_reference(found)
             return False
-        return self._follow(found.deviation, found.amplitude_counts, seconds)
+        return self._follow(found, amplitude, seconds)
 
     def drop(self) -> None:
         self._sectors.begin()

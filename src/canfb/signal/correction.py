@@ -108,17 +108,16 @@ class CorrectionTable:
         with np.errstate(invalid="ignore"):
             return self.correct_array(raws % 1.0 % 1.0)
 
-    def lines(self) -> Lines:
+    def _make_lines(self) -> Lines:
         """For one sample at a time: entry and slope from there, cycles; N + 1 of them, plain floats."""
-        if not self._lines:
-            self._lines = tuple(zip(self._first.tolist(), self._slope.tolist(), strict=True))
+        self._lines = tuple(zip(self._first.tolist(), self._slope.tolist(), strict=True))
         return self._lines
 
     def correct(self, raw: float) -> float:
         """Phase at one raw phase, 0..1 (unchecked)."""
         place = raw * self._n
         index = int(place)
-        first, slope = (self._lines or self.lines())[index]
+        first, slope = (self._lines or self._make_lines())[index]
         phase = first + (place - index) * slope
         if phase < 0.0:
             phase += 1.0

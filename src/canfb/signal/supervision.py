@@ -73,10 +73,8 @@ class Supervision:
         self.set_limits(limits)
 
     def set_limits(self, limits: SampleLimits) -> None:
-        self._limits, self._known = limits, True
-        self._usual, self._narrow = limits.bounds(), limits.bounds(after_fault=True)
-        self.bounds = self._usual  # those in force, for the hot path to compare with
-        self.after_fault = False
+        self._limits, self._known, self.after_fault = limits, False, False
+        self.amplitude_known(True)
 
     def amplitude_known(self, known: bool) -> None:
         """False: the speed, and so what the analog path leaves of the amplitude, is not known."""
@@ -85,10 +83,8 @@ class Supervision:
             limits = self._limits if known else replace(self._limits, amplitude_low_counts=low * LEAST_LEFT)
             self._usual, self._narrow = limits.bounds(), limits.bounds(after_fault=True)
             self._known = known
+            # Those in force, for the hot path to compare with.
             self.bounds = self._narrow if self.after_fault else self._usual
-
-    def passed(self) -> None:
-        self.bounds, self.after_fault = self._usual, False
 
     def faults(self, sine: float, cosine: float, amplitude: float) -> int:
         """Status bits AMPLITUDE and CLIPPED of a sample: raw counts, conditioned amplitude.
@@ -104,7 +100,7 @@ class Supervision:
         if bits:
             self.bounds, self.after_fault = self._narrow, True
         else:
-            self.passed()
+            self.bounds, self.after_fault = self._usual, False
         return bits
 
 
