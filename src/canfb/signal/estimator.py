@@ -271,13 +271,10 @@ class Estimator:
 
     @property
     def _start_is_assumed(self) -> bool:
-        if self.searches:  # they are being held against it
-            return True
         samples = len(self.places) - (self.places[0] is self._virtual)
-        if self._virtual is None or samples > START_SAMPLES:
-            return False
         even = all(place[2] == 1.0 for place in itertools.islice(self.places, 1, None))
-        return samples < (ORDER if even else START_SAMPLES)
+        is_new = self._virtual is not None and samples < (ORDER if even else START_SAMPLES)
+        return is_new or self.searches  # they are being held against it
 
     def limit_over(self, elapsed: float) -> float:
         """What the residual of a usual sample is below, over an interval that is not one after another one.
@@ -298,9 +295,6 @@ class Estimator:
 
     def _counted(self, phase: float, elapsed: float) -> Track | None:
         """The position of a sample in turn, if it is the only one that the machine can be at."""
-        steady = elapsed == 1.0 and self.tracker.is_steady
-        if steady and len(self.places) > 1 and not (self.declared.instant_error or self.searches):
-            return None  # the prediction has refused it already
         track, radius = self.tracker.look(phase, elapsed), self.limit_over(elapsed)
         if radius > 0.0:
             return track._replace(ok=True) if track.residual < radius else None
