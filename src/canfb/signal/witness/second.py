@@ -285,8 +285,7 @@ class SecondPosition:
 
     def _earlier(self, pair: Pair, late: int) -> list[Pair]:
         """What a value that is ``late`` at most belongs to: the samples before."""
-        begin = max(0, len(self._before) - late)
-        return [pair._replace(cycles=one.cycles, phase=one.phase) for one in list(self._before)[begin:]]
+        return [pair._replace(cycles=one.cycles, phase=one.phase) for one in [*reversed(self._before)][:late]]
 
     def _is_open(self, pair: Pair) -> bool:
         """A value that may be late gives another count than one that is not."""

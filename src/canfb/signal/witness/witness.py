@@ -255,7 +255,6 @@ class CoarseTrack(Witness):
 
     def pair(self, angle: float | None, cycles: int, phase: float, time: float) -> Pair | None:
         if angle is None:
-            self.restart_search()
             return None
         self._turns += math.floor(self._angle - angle + 0.5)
         self._angle = angle
