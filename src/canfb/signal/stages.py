@@ -73,6 +73,7 @@ class Stages:
     last        its feedback, None after a start and after a run on arrays
     place       its place, if it was taken; ``was_valid``: not 0 if it was valid
     clock       sampling intervals since the start
+    base_status  bits of every sample
     """
 
     last: Feedback | None
@@ -125,7 +126,7 @@ class Stages:
     def activate(self, correction: Correction) -> None:
         self.tracks.activate(correction)
         self._activated = self.samples  # up to here phases were others
-        self._base_status = 0 if correction.table is None else TABLE_ACTIVE
+        self.base_status = 0 if correction.table is None else TABLE_ACTIVE
         self._tracks_changed()
 
     def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
@@ -353,7 +354,7 @@ class Stages:
             acceleration = speeds.acceleration(places)
             self._speed += acceleration * (places[-1][2] - 1.0) / 2.0  # as over the last interval alone
         self._expect(speed + AHEAD_INTERVALS * acceleration if valid else speed)
-        status = bits | self._base_status
+        status = bits | self.base_status
         if self.reference.zero.referenced and not bits & LOST:
             status |= REFERENCED
         self.last = _new(
@@ -372,9 +373,7 @@ class Stages:
         faulty = self._supervision.after_fault or (frozen.repeats and not self._stands)
         if feedback.status & VALID and not (in_doubt or faulty or estimator.searches):
             self._nothing_in_doubt = True
-            self._status = VALID | self._base_status
-            if self.reference.zero.referenced:
-                self._status |= REFERENCED
+            self._status = feedback.status & (VALID | TABLE_ACTIVE | REFERENCED)
 
     def is_near(self, sine: float, cosine: float, cycles: float = speeds.STILL_CYCLES) -> bool:
         """The phase is within ``cycles`` of the last; by default: the machine has stood."""

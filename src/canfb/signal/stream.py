@@ -22,7 +22,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import AnyTable, CorrectionTable, correction_of
 from canfb.signal.phase import AnyArray, FloatArray, check_counts, pair_of_tracks, raw_phase_block, wrap_block
 from canfb.signal.stages import Stages
-from canfb.signal.supervision import LOST, RESIDUAL, TABLE_ACTIVE, VALID, SampleLimits
+from canfb.signal.supervision import LOST, RESIDUAL, VALID, SampleLimits
 from canfb.signal.tracker import RESIDUAL_LIMIT, TrackResult, write_places_before
 
 # The prediction needs the two or three samples before a block. Their room is one line of the cache, so that
@@ -145,7 +145,6 @@ class Stream:
         self._table = table
         self._conditioning = None if config.conditioning.is_identity else config.conditioning
         self._bounds = config.limits.bounds()
-        self._base_status = 0 if table is None else TABLE_ACTIVE
         self._run_samples = FIRST_RUN
         self._is_first = True
         self._scratch = scratch_for(BLOCK_SAMPLES)
@@ -254,10 +253,10 @@ class Stream:
         taken = self._stages.follow_run(*counts, tracked, run, scratch)
         status = result.status[k : k + taken]
         if self._stages.estimator.lost:
-            status[:] = LOST | self._base_status
+            status[:] = LOST | self._stages.base_status
             status[~tracked.ok[run.start : run.start + taken]] |= RESIDUAL
         else:
-            status[:] = VALID | self._base_status
+            status[:] = VALID | self._stages.base_status
         k += taken
         if taken < length:
             self._run_samples = FIRST_RUN
