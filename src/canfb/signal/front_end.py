@@ -77,8 +77,7 @@ class HarmonicRows:
 def harmonic_rows(used: Conditioning, path: Corners) -> HarmonicRows | None:
     """Those of this encoder and path; None where there is nothing to correct."""
     standing = np.array(used.harmonics)
-    corners = [hz for hz in (path.corner_hz, path.of_cosine_hz) if hz]
-    reaches = [MOST_CORNERS * hz for hz in corners]
+    reaches = [MOST_CORNERS * hz for hz in (path.corner_hz, path.of_cosine_hz) if hz]
     if used.cosine_delay_s:
         reaches.append(MOST_TURN_RAD / (2.0 * math.pi * abs(used.cosine_delay_s)))
     if not reaches or not standing.any():
@@ -118,14 +117,15 @@ def harmonic_at(
     hertz: FloatArray,
 ) -> tuple[ComplexArray, ComplexArray]:
     """z_k and z_-k at these speeds, any shape, of those at standstill."""
-    f = hertz
     cosine, sine = (ahead + behind.conjugate()) / 2.0, (ahead - behind.conjugate()) / 2.0j
     phi = used.phase_error_rad
-    lag_s, lag_c = (np.arctan(f / hz) if hz else 0.0 * f for hz in (path.corner_hz, path.of_cosine_hz))
-    turned = 2.0 * np.pi * f * used.cosine_delay_s
+    lag_s, lag_c = (
+        np.arctan(hertz / hz) if hz else 0.0 * hertz for hz in (path.corner_hz, path.of_cosine_hz)
+    )
+    turned = 2.0 * np.pi * hertz * used.cosine_delay_s
     angle = phi - turned - lag_s + lag_c
-    s = sine * _left(k, f, path.corner_hz) * np.exp(1j * k * lag_s)
-    y = (cosine * math.cos(phi) + sine * math.sin(phi)) * _left(k, f, path.of_cosine_hz)
+    s = sine * _left(k, hertz, path.corner_hz) * np.exp(1j * k * lag_s)
+    y = (cosine * math.cos(phi) + sine * math.sin(phi)) * _left(k, hertz, path.of_cosine_hz)
     c = (y * np.exp(1j * k * (lag_s + turned)) - s * np.sin(angle)) / np.cos(angle)
     return c + 1j * s, c.conj() + 1j * s.conj()
 

@@ -192,10 +192,9 @@ def longest_decidable_row(largest: float, phase_error: float) -> int:
     The row of m is a gap of E = m + 1 intervals, whose counts give speeds 1 / E apart, held against the
     next step within B (1 + E) / 2 + eps (2 + 2 / E): less than half of 1 / E.
     """
-    gaps = range(3, MOST_BAD_SAMPLES + 2)
     decidable = [
         gap - 1
-        for gap in gaps
+        for gap in range(3, MOST_BAD_SAMPLES + 2)
         if 2.0 * (largest * (1.0 + gap) / 2.0 + phase_error * (2.0 + 2.0 / gap)) < 1.0 / gap
     ]
     return max(decidable, default=1)
