@@ -405,7 +405,13 @@ class Pairing(ProcessData):
             self._timed(sample, now)
             return
         elapsed, self._elapsed, self._sample_came = self._elapsed, 0.0, 1
-        self._take(sample, elapsed or self._answer(self.syncs.place), now)
+        placed = not (self._off and self._chain.displaces(self._off))
+        is_open = self._ambiguous or self.syncs.late_s > 0.0 or self.syncs.grid.early > 0
+        self._moves = is_open and (self._moves or self._chain.slips(1.0))
+        feedback = self._chain.after(sample, elapsed or self._answer(self.syncs.place), placed=placed)
+        if self.unconfirmed or self._moves or (is_open and self._chain.slips(1.0)):
+            feedback = self._withheld(feedback)
+        self._out(sample, feedback, now)
 
     def _timed(self, sample: Sample, now: float) -> None:
         """By its time a sample is the next one, for any time of reception; an earlier one again is not used,
@@ -461,15 +467,6 @@ class Pairing(ProcessData):
             self._complete(sample, now)
 
     # Samples into the chain, and out.
-
-    def _take(self, sample: Sample, elapsed: float, now: float) -> None:
-        placed = not (self._off and self._chain.displaces(self._off))
-        is_open = self._ambiguous or self.syncs.late_s > 0.0 or self.syncs.grid.early > 0
-        self._moves = is_open and (self._moves or self._chain.slips(1.0))
-        feedback = self._chain.after(sample, elapsed, placed=placed)
-        if self.unconfirmed or self._moves or (is_open and self._chain.slips(1.0)):
-            feedback = self._withheld(feedback)
-        self._out(sample, feedback, now)
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         if not feedback.status & VALID:

@@ -285,10 +285,8 @@ class Doubt:
 
     def _is_proven(self, one: Candidate) -> bool:
         """Random phases, or a frozen input, would not look like this."""
-        if one.probability > FALSE_ACCEPTANCE:
-            return False
         stood = sum(self._is_near(spot, one) for spot in self._first_spots)
-        return stood >= ORDER or self._moves(one)
+        return one.probability <= FALSE_ACCEPTANCE and (stood >= ORDER or self._moves(one))
 
     def _moves(self, one: Candidate) -> bool:
         return not all(self._is_near(spot, one) for spot in one.run_spots)
