@@ -105,13 +105,6 @@ class ChainConfig:
             adc_bits=(4, 16),
             coast_samples=(0, 255),
             frozen_samples=(0, 255),
-        )
-        object.__setattr__(self, "residual_limit", check_residual_limit(self.residual_limit))
-        limit = self.coarse_limit_revolutions
-        if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:
-            raise ValueError(f"coarse_limit_revolutions must be above 0 and at most 0.25, not {limit!r}")
-        within(
-            self,
             bad_samples=(0, MOST_BAD_SAMPLES),
             max_acceleration_cycles=(0.0, 1000.0),
             phase_error_cycles=(0.0, MOST_PHASE_ERROR_CYCLES),
@@ -120,14 +113,19 @@ class ChainConfig:
             cosine_corner_hz=(0.0, MOST_CORNER_HZ),
             sync_jitter_s=(0.0, 1.0),
             interval_s=(0.0, 1000.0),
+            amplitude_low_counts=(0, 65535),
+            amplitude_high_counts=(0, 65535),
         )
+        object.__setattr__(self, "residual_limit", check_residual_limit(self.residual_limit))
+        limit = self.coarse_limit_revolutions
+        if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:
+            raise ValueError(f"coarse_limit_revolutions must be above 0 and at most 0.25, not {limit!r}")
         if not self.phase_error_cycles:
             raise ValueError("phase_error_cycles must be above 0: no encoder is without")
         if not isinstance(self.conditioning, Conditioning):
             raise ValueError("conditioning must be a Conditioning")
         if not isinstance(self.adapt, (AdaptConfig, bool)):
             raise ValueError(f"adapt must be true, false or a mapping with its bounds, not {self.adapt!r}")
-        within(self, amplitude_low_counts=(0, 65535), amplitude_high_counts=(0, 65535))
         if self.limits.amplitude_low_counts >= self.limits.amplitude_high_counts:
             raise ValueError("amplitude_low_counts must be below amplitude_high_counts")
 

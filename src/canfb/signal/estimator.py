@@ -256,9 +256,8 @@ class Estimator:
         return self._decide(phase, elapsed, bits)
 
     def _follows_speeds(self, elapsed: float) -> bool:
-        begin, places = self._speeds.begin, self._start_places()
-        return self.phases_keep and begin(
-            self.declared, self.timed, elapsed, self.lost, places, self._coasted
+        return self.phases_keep and self._speeds.begin(
+            self.declared, self.timed, elapsed, self.lost, self._start_places(), self._coasted
         )
 
     def _start_places(self) -> list[Place]:
@@ -267,7 +266,7 @@ class Estimator:
         assumed = self._virtual is not None and not (self._known or self.lost)
         if not assumed or in_doubt or not 0 < len(places) <= START_SAMPLES:
             return []
-        return list(places)[places[0] is self._virtual :]
+        return list(places)
 
     @property
     def _start_is_assumed(self) -> bool:
