@@ -210,7 +210,7 @@ NO_DRIFT = FollowedDrift()
 
 
 class Adaptation:
-    """Follows the drift of one encoder; off until :attr:`limits` are given.
+    """Follows the drift of one encoder; off until :meth:`use_limits`.
 
     drift   what it has found
     due     number of the sample from which on :meth:`take` need be called with valid samples
@@ -244,18 +244,15 @@ class Adaptation:
     def is_on(self) -> bool:
         return self._limits is not None
 
-    @property
-    def limits(self) -> AdaptConfig | None:
-        return self._limits
-
-    @limits.setter
-    def limits(self, limits: AdaptConfig | None) -> None:
+    def use_limits(self, limits: AdaptConfig | None, start_from: FollowedDrift | None) -> None:
         was_on, self._limits = self.is_on, limits
         if limits is None:
             self.drift, self.due = NO_DRIFT, NEVER
             self._forget_result()
         elif not was_on:
             self._begin(0)
+        if self.is_on and start_from is not None and all(map(math.isfinite, start_from)):
+            self.drift = start_from
 
     def use(self, correction: Correction) -> None:
         self.drift = NO_DRIFT
@@ -263,10 +260,6 @@ class Adaptation:
         self._sum, self._blocks = NO_DEVIATION, 0
         self._forget_result()
         self.due = 0 if self.is_on else NEVER
-
-    def start_from(self, drift: FollowedDrift) -> None:
-        if self.is_on and all(map(math.isfinite, drift)):
-            self.drift = drift
 
     def is_recent(self, samples: int) -> bool:
         return samples <= self._recent_until

@@ -53,9 +53,7 @@ class Conditioner:
         self._renew()
 
     def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
-        self.adaptation.limits = limits
-        if start_from is not None:
-            self.adaptation.start_from(start_from)
+        self.adaptation.use_limits(limits, start_from)
         self._renew()
 
     def use_unit(self, unit_s: float) -> None:
