@@ -29,7 +29,7 @@ import numpy as np
 from canfb.signal.bounded_motion import BoundedMotion
 from canfb.signal.doubt import FALSE_ACCEPTANCE
 from canfb.signal.limits import MOST_BAD_SAMPLES
-from canfb.signal.phase import BoolArray, FloatArray, IntArray
+from canfb.signal.phase import FloatArray, IntArray
 
 # 1Vpp encoders give at most 500 kHz; up to twice that their time stamps of 100 ns cost 0.05 cycle.
 MOST_TIME_CYCLES = 0.05
@@ -128,7 +128,9 @@ class SpeedSet:
             for later, earlier in BASELINES[1:]:
                 if earlier <= len(self._counts):
                     off, radius = self._window(later, earlier, phase, motion)
-                    counts = self._keep(np.abs(off + self._counts[later - 1] - counts) <= radius, counts)
+                    kept = np.abs(off + self._counts[later - 1] - counts) <= radius
+                    self._counts = [one[kept] for one in self._counts]
+                    counts = counts[kept]
         self._counts = [counts, *self._counts[:SAMPLES_BEFORE]]
         self._phases = [phase, *self._phases[:SAMPLES_BEFORE]]
         self._since = [0.0, *self._since[:SAMPLES_BEFORE]]
@@ -146,10 +148,6 @@ class SpeedSet:
         self._counts = [one.repeat(possible) for one in self._counts]
         number = np.arange(len(self._counts[0])) - (np.cumsum(possible) - possible).repeat(possible)
         return np.asarray(self._counts[0] + lowest.repeat(possible) + number)
-
-    def _keep(self, kept: BoolArray, counts: IntArray) -> IntArray:
-        self._counts = [one[kept] for one in self._counts]
-        return counts[kept]
 
     def _window(
         self, first: int, second: int, phase: float, motion: BoundedMotion
@@ -172,8 +170,7 @@ class SpeedSet:
 
     @property
     def last_two(self) -> Found:
-        last, before = self.counts
-        return Found((before, self._phases[1]), (last, self._phases[0]), self._since[1])
+        return Found((self.counts[1], self._phases[1]), (self.counts[0], self._phases[0]), self._since[1])
 
     def has(self, count: int) -> bool:
         return bool((self._counts[0] == count).any())
