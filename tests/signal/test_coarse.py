@@ -89,10 +89,8 @@ def search(
     samples: int = 3000,
 ) -> tuple[int, int] | None:
     """Samples until the answer, and the answer; ``error`` (revolutions) has one and two waves."""
-    n = track.scale.period_cycles
     for k in range(samples):
-        true = 0.37 * n + speed * k * elapsed
-        turn = true / n
+        turn = 0.37 + speed * k * elapsed / track.scale.period_cycles
         angle = (turn + error * (math.sin(2 * math.pi * turn) + math.cos(4 * math.pi * turn)) / 2) % 1.0
         here = pair(track, angle, 5.25 + (speed - missing) * k * elapsed, k * elapsed)
         if (found := track.missing_speed(here)) is not None:

@@ -155,6 +155,8 @@ def test_a_speed_from_outside_is_no_count_to_start_from() -> None:
     for elapsed in np.random.default_rng(1).uniform(0.8, 1.2, 60).tolist():
         position += 5.3 * elapsed
         assert estimator.good(position % 1.0, elapsed)[1] & LOST
+    estimator.resume()
+    assert not estimator.tracker.started, "after a pause it starts again"
 
 
 def test_a_count_that_was_found_leaves_the_speed_and_the_places() -> None:
