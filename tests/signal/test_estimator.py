@@ -117,15 +117,12 @@ def test_causes_of_losses() -> None:
     """Two motions that no sample tells apart; a jump; no motion at all."""
     fast = Declared(residual_limit=0.25, acceleration=0.2)
     estimator = started(fast, 0.2)
-    for _ in range(3):
-        estimator.bad(1.0, missed=True)
+    assert [estimator.bad(1.0, missed=True)[1] for _ in range(3)] == [COASTING] * 3
     take(estimator, phases(0.2, 4, 15))
     assert estimator.loss_cause == LossCause.AMBIGUOUS
-
     estimator = started(Declared(residual_limit=0.15, acceleration=0.1, bad=2), samples=24)
     take(estimator, [(one + 0.2) % 1.0 for one in phases(0.2, 20, 24)])
     assert estimator.loss_cause == LossCause.JUMP
-
     estimator = started(samples=24)
     take(estimator, [0.1, 0.7, 0.95, 0.2, 0.9, 0.45, 0.05, 0.6, 0.15, 0.75])
     assert estimator.loss_cause == LossCause.CONTRADICTED
@@ -161,11 +158,14 @@ def test_a_speed_from_outside_is_no_count_to_start_from() -> None:
 
 def test_a_count_that_was_found_leaves_the_speed_and_the_places() -> None:
     estimator = started()
-    samples = len(estimator.places)
     estimator.found(100, 0)
-    assert len(estimator.places) == samples
+    assert len(estimator.places) == 1 + 12  # with the one assumed before the first
     assert steady_speed(estimator.places) == pytest.approx(0.2)
     assert estimator.good(phases(0.2, 1, 12)[0], 1.0)[0].cycles == 100 + 2
+    estimator.bad(1.0, missed=True)
+    assert take(estimator, phases(0.2, 1, 14)) == [VALID]
+    estimator.found(100, 0)  # while the doubt goes on
+    assert estimator.good(phases(0.2, 1, 15)[0], 1.0)[0].cycles == 200 + 3
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])
