@@ -55,6 +55,7 @@ class Machine(Bench):
         entries: dict[tuple[int, int], float] | None = None,
         times: bool = False,
         overflow: int = 0,
+        ran: int = 1,  # those before this period have come
     ) -> None:
         super().__init__(times=times)
         self.times, self.overflow = times, overflow
@@ -66,6 +67,7 @@ class Machine(Bench):
         self.sampled = 0.0  # the SYNC of the last sample
         self.bus.observers.append(self._note)
         self.start()
+        self.run(1, ran)
 
     def until(self, at: float) -> None:
         """Serve the deadlines up to this time, periods."""
@@ -100,9 +102,9 @@ class Machine(Bench):
         time_s = (k if time is None else time) * PERIOD_S
         return adc_pdo(self.motion(k) + off, time_s=time_s if self.times else None)
 
-    def cycle(self, k: int) -> None:
-        self.sync_at(k)
-        self.sample(k)
+    def cycle(self, k: float, at: float | None = None) -> None:
+        self.sync_at(k, at)
+        self.sample(k, None if at is None else at + ADC)
 
     def give_all(self, frames: list[tuple[float, bool, float]]) -> None:
         """When each comes, whether it is a SYNC, and of an ADC PDO the SYNC that it answers."""
@@ -134,8 +136,7 @@ def ramped(speed: float) -> Motion:
 @pytest.mark.parametrize("periods", [2, 3, 5, 20])
 def test_when_sync_stops_nothing_is_valid_after_so_many_periods(periods: int, stamped: bool) -> None:
     """Not in a TPDO of the event timer, and not by SDO."""
-    machine = Machine(stamped, entries={(0x2010, 6): periods, (0x1800, 5): 1})
-    machine.run(1, 60)
+    machine = Machine(stamped, entries={(0x2010, 6): periods, (0x1800, 5): 1}, ran=60)
     limit = 59.0 + periods
     assert machine.status(limit - 0.05) & VALID
     assert not machine.status(limit + 0.01) & VALID
@@ -152,8 +153,7 @@ def test_when_sync_stops_nothing_is_valid_after_so_many_periods(periods: int, st
 @pytest.mark.parametrize("off", [0.1, 0.4, 0.5])
 def test_another_adc_pdo_for_the_same_sync_is_not_counted_as_a_sample(off: float, stamped: bool) -> None:
     """Of a second interface, or of a SYNC that only the interface heard: the position is not certain."""
-    machine = Machine(stamped)
-    machine.run(1, 60)
+    machine = Machine(stamped, ran=60)
     machine.cycle(60)
     machine.sample(60, 60 + ADC + 0.2, off)
     assert machine.sdo[0x2012][8].raw == 1
@@ -164,8 +164,7 @@ def test_another_adc_pdo_for_the_same_sync_is_not_counted_as_a_sample(off: float
 
 @pytest.mark.parametrize("speed", [0.0, 3.3])
 def test_another_answer_delay_leaves_open_which_sync_is_answered(speed: float) -> None:
-    machine = Machine(True, ramped(speed))
-    machine.run(1, 100)
+    machine = Machine(True, ramped(speed), ran=100)
     machine.sdo[0x2010][0x0E].raw = 2.2 * PERIOD_S
     for k in range(100, 103):
         machine.sync_at(k)
@@ -176,8 +175,7 @@ def test_another_answer_delay_leaves_open_which_sync_is_answered(speed: float) -
 
 def test_a_sample_refused_as_an_old_one_leaves_no_older_one_valid() -> None:
     """A SYNC comes twice, and both are answered behind the next one; TPDO1 follows SYNC."""
-    machine = Machine(False, ramped(0.9), {(0x1800, 2): 1}, times=True)
-    machine.run(1, 100)
+    machine = Machine(False, ramped(0.9), {(0x1800, 2): 1}, times=True, ran=100)
     machine.give_all([(100, True, 100), (100.25, False, 100), (100.62, True, 100.62)])
     machine.give_all([(101, True, 101), (101.02, False, 100.62), (101.4, False, 101)])
     machine.run(102, 140)
@@ -186,12 +184,10 @@ def test_a_sample_refused_as_an_old_one_leaves_no_older_one_valid() -> None:
 
 def test_the_late_answer_to_an_earlier_sync_is_not_that_of_the_last_one() -> None:
     """Also where samples come at every other place of their clock, behind a second producer."""
-    machine = Machine(True, ramped(0.7), {(0x1800, 2): 1, (0x2010, 6): 3}, times=True)
-    machine.run(1, 100)
+    machine = Machine(True, ramped(0.7), {(0x1800, 2): 1, (0x2010, 6): 3}, times=True, ran=100)
     for k in range(100, 106):
         machine.cycle(k)
-        machine.sync_at(k + 0.5)
-        machine.sample(k + 0.5, k + 0.75)
+        machine.cycle(k + 0.5)
     assert machine.run(106, 140)[-1].valid
     machine.give_all([(140, True, 140), (141, True, 141), (141.02, False, 140), (142, True, 142)])
     assert not machine.positions[-1].valid
@@ -246,8 +242,7 @@ def play(machine: Machine, heard: list[str], first: int) -> None:
 @pytest.mark.parametrize("name", LOST_FRAMES)
 def test_a_few_lost_or_doubled_frames_are_counted_and_the_position_goes_on(name: str, speed: float) -> None:
     heard, counted = LOST_FRAMES[name]
-    machine = Machine(True, ramped(speed))
-    machine.run(1, 100)
+    machine = Machine(True, ramped(speed), ran=100)
     play(machine, heard, 100)
     machine.run(100 + len(heard), 160)
     assert {subindex: machine.sdo[0x2012][subindex].raw for subindex in counted} == counted
@@ -278,8 +273,7 @@ def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool, 
 def test_late_adc_pdos_while_it_gathers_speed(bend: float, k: int, early: float, left: float) -> None:
     """One comes when that of the next SYNC is due, and the next before a third."""
     declared = {(0x2010, 0x0D): 0.6 * PERIOD_S, (0x2010, 0x0B): 0x4000}  # 0.25 cycle per interval^2
-    machine = Machine(True, lambda at: bend * max(0.0, at - 100) ** 2 / 2, declared)
-    machine.run(1, k)
+    machine = Machine(True, lambda at: bend * max(0.0, at - 100) ** 2 / 2, declared, ran=k)
     machine.give_all([(k, True, k), (k + 1 - early, True, k + 1), (k + 1 - early + ADC, False, k)])
     machine.sample(k + 1, k + 2 - min(left, early + 0.7 - ADC))
     machine.run(k + 2, k + 20)
@@ -290,8 +284,7 @@ def test_late_adc_pdos_while_it_gathers_speed(bend: float, k: int, early: float,
 @example(6, 0.0553, 0.86)
 def test_a_machine_that_begins_to_move_while_nobody_hears(gap: int, bend: float, begin: float) -> None:
     """And the host is late: its sample times alone are later, as those of a clock that was set."""
-    machine = Machine(False, lambda at: bend * max(0.0, at - 99 - begin) ** 2 / 2, times=True)
-    machine.run(1, 100)
+    machine = Machine(False, lambda at: bend * max(0.0, at - 99 - begin) ** 2 / 2, times=True, ran=100)
     for n in range(100, 130):
         machine.give_all([(n, True, n), (n + ADC, False, n + gap)])
     del machine.positions[:-25]  # whole cycles at the first of them are not seen
@@ -304,8 +297,7 @@ def test_a_machine_that_begins_to_move_while_nobody_hears(gap: int, bend: float,
 @example([False] * 18, 20)
 def test_every_sync_that_was_not_heard_is_counted(heard: list[bool], overflow: int) -> None:
     """A few are stepped over; many lose the position, and it is told."""
-    machine = Machine(False, overflow=overflow)
-    machine.run(1, 9)
+    machine = Machine(False, overflow=overflow, ran=9)
     longest = max((len(run) for run in "".join("01"[one] for one in heard).split("1")), default=0)
     for k, one in enumerate(heard, 9):
         if one:
@@ -327,8 +319,7 @@ def test_every_sync_that_was_not_heard_is_counted(heard: list[bool], overflow: i
 @given(before=st.integers(0, 40), overflow=st.integers(2, 40), unheard=st.integers(1, 3))
 def test_samples_with_their_time_need_no_sync(before: int, overflow: int, unheard: int) -> None:
     """The interface has answered SYNCs that the module did not hear."""
-    machine = Machine(False, times=True, overflow=overflow)
-    machine.run(1, 9 + before)
+    machine = Machine(False, times=True, overflow=overflow, ran=9 + before)
     for k in range(9 + before, 9 + before + unheard):
         machine.sample(k)
     machine.run(9 + before + unheard, 25 + before + unheard)
@@ -338,8 +329,7 @@ def test_samples_with_their_time_need_no_sync(before: int, overflow: int, unhear
 
 
 def test_a_module_that_stays_operational_without_a_bus_has_lost_its_position() -> None:
-    machine = Machine(False, overflow=20)
-    machine.run(1, 9)
+    machine = Machine(False, overflow=20, ran=9)
     machine.sdo[0x1029][1].raw = 1
     for frame in machine.module.bus_off(machine.bus.now):
         machine.bus.send(frame)
@@ -353,8 +343,7 @@ def test_a_module_that_stays_operational_without_a_bus_has_lost_its_position() -
 
 @pytest.mark.parametrize("bad_each", [2, 3, 7])
 def test_an_alarm_that_comes_and_goes_sends_ten_pairs_of_emcy_a_second(bad_each: int) -> None:
-    machine = Machine(True, lambda at: 0.2)
-    machine.run(1, 20)
+    machine = Machine(True, lambda at: 0.2, ran=20)
     for k in range(20, 1020):
         machine.sync_at(k)
         if k % bad_each:
@@ -376,8 +365,7 @@ def test_an_alarm_that_comes_and_goes_sends_ten_pairs_of_emcy_a_second(bad_each:
 @pytest.mark.parametrize("gap", [1, 2, 3, 10])
 def test_a_synchronous_rpdo_over_a_gap(gap: int, stamped: bool) -> None:
     """The sample of SYNC k is taken at SYNC k + 1: after a gap it is one that nobody can place."""
-    machine = Machine(stamped, entries={(0x1400, 2): 1})
-    machine.run(1, 60)
+    machine = Machine(stamped, entries={(0x1400, 2): 1}, ran=60)
     assert machine.positions[-1].valid
     machine.run(60 + gap, 120)
     assert machine.right()
@@ -391,8 +379,7 @@ def test_a_synchronous_rpdo_over_a_gap(gap: int, stamped: bool) -> None:
 @pytest.mark.parametrize("stamped", [True, False])
 def test_the_same_counts_after_the_next_sync_was_due_may_be_another_sample(stamped: bool) -> None:
     """At whole cycles per period the answer to a SYNC that was not received looks like the one before."""
-    machine = Machine(stamped, ramped(6.0))
-    machine.run(1, 120)
+    machine = Machine(stamped, ramped(6.0), ran=120)
     assert machine.status(119.5) & VALID
     machine.sample(119, 119.6)  # that one again: no SYNC was due
     assert machine.status(119.7) & VALID
@@ -521,8 +508,7 @@ def test_an_interface_whose_clock_is_sync_may_be_in_slow_motion(
     machine = Machine(True, lambda k: ramped(speed)(max(0, k - 30)), {(0x2010, 6): 200}, times=True)
     apart = [pace * (1.0 + rough * (n % 3)) for pace, syncs, rough in paces for n in range(syncs)]
     for k, at in enumerate(accumulate([1.0, 25.0, 25.0, *apart]), 1):
-        machine.sync_at(k, at)
-        machine.sample(k, at + ADC)
+        machine.cycle(k, at)
     assert machine.right()
     assert not any(one.status & LOST for one in machine.positions)
 
@@ -539,8 +525,7 @@ def test_a_machine_that_begins_to_move_in_a_pause_is_lost(
         moved = min(max(0.0, at - 100.0), length)
         return speed * (moved * moved / length / 2.0 + max(0.0, at - 100.0 - length))
 
-    machine = Machine(stamped, motion, times=times)
-    machine.run(1, 100)
+    machine = Machine(stamped, motion, times=times, ran=100)
     machine.until(100)
     machine.remote.nmt.state = "PRE-OPERATIONAL"
     machine.until(99.5 + length)
@@ -658,8 +643,7 @@ def creeping(speed: float) -> Motion:
 
 
 def test_two_syncs_lost_before_the_period_is_known_lose_the_position() -> None:
-    machine = Machine(True, creeping(0.5))
-    machine.run(1, 6)
+    machine = Machine(True, creeping(0.5), ran=6)
     machine.run(8, 60)
     assert machine.right()
 
@@ -668,8 +652,7 @@ def test_two_syncs_lost_before_the_period_is_known_lose_the_position() -> None:
 @pytest.mark.parametrize("overflow", [0, 10])
 def test_a_pause_that_waits_for_a_late_host_is_as_long_as_it_was(times: bool, overflow: int) -> None:
     """NMT stop and start, and all frames beside them, in one burst of a host that has slept 12 periods."""
-    machine = Machine(False, creeping(0.1), times=times, overflow=overflow)
-    machine.run(1, 60)
+    machine = Machine(False, creeping(0.1), times=times, overflow=overflow, ran=60)
     machine.bus.now = 72.0 * PERIOD_S  # and no deadline was served
     for k in range(60, 72):
         for command in {61: [2], 70: [1]}.get(k, []):
@@ -712,8 +695,7 @@ def test_a_sync_off_the_grid_is_that_of_its_own_sample() -> None:
     """A synchronous RPDO: the sample that waits for it is of the SYNC before."""
     machine = Machine(True, ramped(0.8), entries={(0x1400, 2): 1})
     for k in (*range(1, 60), 60.3, 61.35, *range(62, 110)):
-        machine.sync_at(k)
-        machine.sample(k)
+        machine.cycle(k)
     assert machine.right()
     assert machine.positions[-1].valid
 
@@ -750,8 +732,7 @@ def test_the_position_goes_on_behind_disturbed_syncs(
     speed: float, times: bool, overflow: int, syncs: list[tuple[float, int | None]], counted: tuple[int, int]
 ) -> None:
     """Each with the sample behind it; those with times come in a synchronous RPDO."""
-    machine = Machine(True, ramped(speed), {(0x1400, 2): 1} if times else {}, times, overflow)
-    machine.run(1, 100)
+    machine = Machine(True, ramped(speed), {(0x1400, 2): 1} if times else {}, times, overflow, ran=100)
     for at, answered in syncs:
         machine.sync_at(at)
         if answered is not None:
@@ -781,8 +762,7 @@ def test_one_sync_off_the_grid_does_not_lose_a_slow_machine_of_known_acceleratio
     """Its sample is no good one where it is further off than 2010:0C, which no contradiction has to show."""
     rad_s2 = 1.3 * speed / 40.0 * 2.0 * math.pi / 2500.0 / PERIOD_S**2
     for late in (-0.35, -0.2, 0.13, 0.3):
-        machine = Machine(True, ramped(speed), {(0x1400, 2): kind, (0x2010, 2): rad_s2})
-        machine.run(1, 100)
+        machine = Machine(True, ramped(speed), {(0x1400, 2): kind, (0x2010, 2): rad_s2}, ran=100)
         machine.sync_at(100, 100 + late)
         machine.sample(100 + late)
         assert machine.run(101, 140)[-1].valid
