@@ -135,8 +135,7 @@ def test_a_log_that_starts_in_the_middle() -> None:
     assert position.least < 0
     assert "begins in motion" in ReplayResult(replay, None, 0).notes()[0]
     assert ReplayResult(replayed(log)[0], None, 0).notes() == []
-    later, _ = replayed(log[middle:], options={"begin": Begin.PRE_OPERATIONAL})
-    assert later.samples.rows == 0
+    assert replayed(log[middle:], options={"begin": Begin.PRE_OPERATIONAL})[0].samples.rows == 0
 
 
 def test_other_limits_than_those_of_the_log_are_noted() -> None:
@@ -145,8 +144,7 @@ def test_other_limits_than_those_of_the_log_are_noted() -> None:
     plan[400] = (plan[400][0], adc_pdo(0.1, 2000.0))
     for more, note in ((read, "other values in 2001h:04"), ([], "EMCY are not in the log")):
         log, _ = live(sorted([*plan, *more], key=lambda planned: planned[0]))
-        replay, _ = replayed(log, amplitude_high_counts=1400)
-        assert note in ReplayResult(replay, None, 0).notes()[0]
+        assert note in ReplayResult(replayed(log, amplitude_high_counts=1400)[0], None, 0).notes()[0]
 
 
 @pytest.mark.parametrize("times", [False, True])
@@ -166,17 +164,19 @@ def test_another_table_is_tried() -> None:
     assert replay.compared[POSITION_ID].different > 100
 
 
-def test_frames_that_one_side_lacks_do_not_shift_the_pairs() -> None:
+def test_frames_that_one_side_lacks_and_odd_stamps_do_not_shift_the_pairs() -> None:
     log, _ = live(session(300))
     positions = [n for n, frame in enumerate(log) if frame.can_id == POSITION_ID]
-    replay, _ = replayed([frame for n, frame in enumerate(log) if n not in positions[50:53]])
-    found = replay.compared[POSITION_ID]
+    less = [frame for n, frame in enumerate(log) if n not in positions[50:53]]
+    found = replayed(less)[0].compared[POSITION_ID]
     assert (found.equal, found.different, found.only_replayed) == (297, 0, 3)
     extra = log[positions[99]]._replace(data=b"12345678")
-    replay, _ = replayed([*log[: positions[99]], extra, *log[positions[99] :]])
-    found = replay.compared[POSITION_ID]
+    found = replayed([*log[: positions[99]], extra, *log[positions[99] :]])[0].compared[POSITION_ID]
     assert found.equal >= 299
     assert found.different + found.only_recorded >= 1
+    for stamp, odd in ((None, (0, 0, 1)), (float("nan"), (0, 0, 1)), (9e9, (0, 1, 0)), (0.0, (1, 0, 0))):
+        replay, _ = replayed([*log[:-1], log[-1]._replace(timestamp=stamp)])
+        assert (replay.steps_back, replay.gaps, replay.bad_stamps) == odd
 
 
 EVENTS = st.one_of(

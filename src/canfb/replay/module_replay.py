@@ -336,7 +336,7 @@ class ModuleReplay:
 
         A step back is a clock that was set: the reader puts late frames in their places.
         """
-        stamp_s = self.samples.origin_s + now if frame.timestamp is None else frame.timestamp
+        stamp_s = math.nan if frame.timestamp is None else frame.timestamp
         if not math.isfinite(stamp_s):
             self.bad_stamps += 1
             return now
