@@ -301,15 +301,14 @@ class BusLogFile:
                     yield usual_frames(usual, self.channel, counters)
                 else:
                     messages = CandumpLines(BytesIO(block), counters, number).messages()
-                    yield [frame for frame in map(self._frame, messages) if frame is not None]
+                    yield [*filter(None, map(self._frame, messages))]
                 counters.bytes_read = raw.tell()
 
     def _by_python_can(self) -> Iterator[list[Frame]]:
         frames: list[Frame] = []
         try:
-            for message in messages_of(self.path, self.suffix, self.counters):
-                frame = self._frame(message)
-                frames += [] if frame is None else [frame]
+            for frame in filter(None, map(self._frame, messages_of(self.path, self.suffix, self.counters))):
+                frames.append(frame)
                 if len(frames) == BATCH_FRAMES:
                     yield frames
                     frames = []

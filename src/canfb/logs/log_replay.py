@@ -121,10 +121,11 @@ MOST_FAULTS = 40
 def write_page(path: Path, log: BusLogFile, result: ReplayResult, overview: Overview) -> None:
     replay = result.replay
     whole = not (result.left_out or log.counters.damaged_lines or log.trouble)
-    tables = table("Margins", [*result.facts(), *log.counters.facts(log.trouble)])
-    compared = result.comparison()
-    if compared:
-        tables += table("The recorded module and the replay", compared)
+    subjects = {
+        "Margins": [*result.facts(), *log.counters.facts(log.trouble)],
+        "The recorded module and the replay": result.comparison(),
+    }
+    tables = "".join(table(title, rows) for title, rows in subjects.items() if rows)
     conditioning = replay.module.chain.correction.conditioning
     picture = lissajous(overview.sine, overview.cosine, conditioning, replay.module.limits.sample)
     shown = figure("Lissajous figure", f"{len(overview.sine)} samples, evenly chosen", picture)

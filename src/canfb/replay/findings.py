@@ -20,7 +20,6 @@ from canfb.calibration.recording import recording
 from canfb.calibration.result import drift, runs
 from canfb.errors import CalibrationError
 from canfb.module.feedback_module import FeedbackModule
-from canfb.signal.chain_config import ChainLimits
 from canfb.signal.correction import Correction
 from canfb.signal.phase import BoolArray, FloatArray
 from canfb.signal.sample import Feedback
@@ -91,11 +90,17 @@ class SampleColumns:
     def take(self, feedback: Feedback, now: float) -> None:
         module = self._module
         position, sine, cosine = self._entries
-        limits = _limit_values(module.limits)
+        limits, sample = module.limits, module.limits.sample
+        in_force = (
+            limits.residual_limit,
+            sample.amplitude_low_counts,
+            sample.amplitude_high_counts,
+            limits.acceleration or 0.0,
+            limits.cycles_per_revolution,
+        )
         before = (now + self.origin_s, position.value, sine.value, cosine.value, module.interval_s)
-        self._collected.append((*before, *_stages(feedback), *limits))
-        for one in module.chain.between:
-            self._earlier.append((*before, *_stages(one), *limits))
+        self._collected.append((*before, *_stages(feedback), *in_force))
+        self._earlier += [(*before, *_stages(one), *in_force) for one in module.chain.between]
         if len(self._collected) == BLOCK_ROWS:
             self.flush()
 
@@ -111,17 +116,6 @@ class SampleColumns:
 def _stages(feedback: Feedback) -> tuple[Any, ...]:
     stages, cycles = feedback[2:], max(-_LARGEST_COUNT, min(feedback.cycles, _LARGEST_COUNT))
     return (*stages[:_CYCLES], cycles, *stages[_CYCLES + 1 :])
-
-
-def _limit_values(limits: ChainLimits) -> tuple[float, ...]:
-    sample = limits.sample
-    return (
-        limits.residual_limit,
-        sample.amplitude_low_counts,
-        sample.amplitude_high_counts,
-        limits.acceleration or 0.0,
-        limits.cycles_per_revolution,
-    )
 
 
 # Kinds of faults, and the bit of the status word that shows each.
@@ -228,9 +222,7 @@ class Margins:
         amplitude = _where(came, block["amplitude_counts"])
         self._look("amplitude_low", block, amplitude, block["amplitude_low_counts"])
         self._look("amplitude_high", block, amplitude, block["amplitude_high_counts"])
-        self._take_motion(block, status & od.StatusBit.VALID != 0)
-
-    def _take_motion(self, block: Block, valid: BoolArray) -> None:
+        valid = status & od.StatusBit.VALID != 0
         acceleration = _where(valid, np.abs(block["acceleration_cycles"]))
         self._look("acceleration_cycles", block, acceleration, block["residual_limit"])
         rad, interval_s = _units(block)
