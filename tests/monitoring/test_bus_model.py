@@ -175,10 +175,10 @@ def test_a_limit_by_noise_that_was_not_read_is_assumed() -> None:
     network = MonitoredNetwork()
     network.modules[0].dictionary.entry(*od.SUPERVISION_NOISE_MARGIN).download(b"\x06")
     dictionary = network.modules[0].dictionary
-    network.model.learn(layout_of(NODE, values_of(dictionary.find), Origin.MODULE))
+    module = network.model.learn(layout_of(NODE, values_of(dictionary.find), Origin.MODULE))
     network.run(0.2)
     assert network.module().assumed == ["residual_limit_cycles"]
-    network.model.put(NODE, od.FEEDBACK_NOISE, 100, network.bus.now)
+    module.put(od.FEEDBACK_NOISE, 100, network.bus.now)
     assert network.module().assumed == []
 
 
@@ -245,12 +245,12 @@ def _size(thing: object, seen: set[int]) -> int:
 
 def shown(module: FeedbackModule, noise: int | None = None) -> ModuleSnapshot:
     """With a SYNC of 1 kHz on the bus; ``noise`` is read by SDO, 1/65536 cycle."""
-    model = BusModel(known_layouts(Config(modules=[module.config])))
+    model = BusModel(layouts := known_layouts(Config(modules=[module.config])))
     for k in range(50):
         model.receive(Frame(0x80, b""), k * 1e-3)
         model.receive(Frame(0x180 + NODE, struct.pack("<IHH", 0, 1, 0)), k * 1e-3 + 5e-4)
     if noise is not None:
-        model.put(NODE, od.FEEDBACK_NOISE, noise, 0.05)
+        model.learn(*layouts).put(od.FEEDBACK_NOISE, noise, 0.05)
     ((_, found),) = model.snapshot().modules
     return found
 

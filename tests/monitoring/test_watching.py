@@ -81,7 +81,7 @@ def test_what_was_read_by_sdo_counts_from_the_next_snapshot_on() -> None:
     module = canfb.ModuleConfig(node_id=NODE, cycles_per_revolution=512)
     (layout,) = known_layouts(Config(modules=[module]))
     monitor = Monitor(1.0)
-    monitor.watching.put(ModuleReading(NODE, {od.COUNTER_MISSED: 3}, replace(layout, origin=Origin.MODULE)))
+    monitor.watching.put(ModuleReading({od.COUNTER_MISSED: 3}, replace(layout, origin=Origin.MODULE)))
     monitor.opened()
     ((_, first),) = monitor.shown[0].modules
     assert (first.layout, first.counters) == ("module", {"missed": 3})
@@ -151,9 +151,9 @@ class Watched:
         if not self.reader.due(now, node):
             return None
         reading = self.reader.read(self.bench.access, now, node)
-        self.model.learn(reading.layout)
+        module = self.model.learn(reading.layout)
         for place, value in reading.values.items():
-            self.model.put(MODULE_ID, place, value, now)
+            module.put(place, value, now)
         return reading
 
     def asked(self) -> list[tuple[int, int]]:

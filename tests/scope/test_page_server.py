@@ -307,9 +307,9 @@ def test_a_page_gets_the_past_then_each_look_with_what_was_read() -> None:
             assert len(begin["past"]["points"][str(NODE)]) == 5
             assert begin["look"]["modules"][0]["point"] == begin["past"]["points"][str(NODE)][-1]
             (layout,) = known_layouts(Config(), [NODE])
-            page.know(ModuleReading(NODE, {}, layout, NO_CORRECTION))
-            network.model.put(NODE, od.COUNTER_LOST, 4, network.bus.now)
-            network.model.put(NODE, od.FEEDBACK_VELOCITY, math.nan, network.bus.now + 0.2)
+            page.know(ModuleReading({}, layout, NO_CORRECTION))
+            network.model.learn(layout).put(od.COUNTER_LOST, 4, network.bus.now)
+            network.model.learn(layout).put(od.FEEDBACK_VELOCITY, math.nan, network.bus.now + 0.2)
             network.run(0.2)
             page.show(network.model.snapshot(network.bus.now))
             look = told(events.get_nowait())["look"]

@@ -17,7 +17,7 @@ from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame, frame_bits
 from canfb.monitoring.layout import NodeLayout, Recognition
 from canfb.monitoring.module_model import LoadMeter, ModuleModel, SyncMeter
 from canfb.monitoring.snapshot import BusSnapshot, EmergencySnapshot, NodeSnapshot
-from canfb.view.module_view import Number, Pdo
+from canfb.view.module_view import Pdo
 
 EMERGENCIES = 8  # that are remembered
 IN_FLIGHT_S = 0.1  # so long after a command PDOs may come that had waited for the bus
@@ -122,17 +122,13 @@ class BusModel:
         for layout in layouts:
             self.learn(layout)
 
-    def learn(self, layout: NodeLayout) -> None:
+    def learn(self, layout: NodeLayout) -> ModuleModel:
         node = self._node(layout.node_id)
         if node.module is None:
             node.module = ModuleModel(layout)
         node.module.layout = layout
         self._route()
-
-    def put(self, node_id: int, place: od.Multiplexer, value: Number, now: float) -> None:
-        module = self._node(node_id).module
-        if module is not None:
-            module.put(place, value, now)
+        return node.module
 
     def receive(self, frame: Frame, now: float) -> None:
         """Flagged as :func:`.flagged_id` has it; one that is not of CANopen counts for the load alone."""

@@ -93,7 +93,6 @@ class NodeLayout:
 class ModuleReading:
     """What was read of a module; ``correction`` None: not asked for."""
 
-    node_id: int
     values: Mapping[od.Multiplexer, Number]
     layout: NodeLayout
     correction: Correction | None = None

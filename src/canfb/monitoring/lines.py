@@ -80,7 +80,8 @@ def module_lines(node: NodeSnapshot, module: ModuleSnapshot, units: MachineUnits
     words = ", ".join((position_words(module), *([] if stale else module.faults)))
     marks = " ".join(["referenced"] * module.referenced + ["table active"] * module.table_active)
     own = f"  {module.position_units} units" if module.position_units is not None else ""
-    counted = {name: count for name, count in module.seen.items() if count}
+    counts = (module.counters or module.seen).items()
+    counted = ", ".join(f"{name} {count}" for name, count in counts if count)
     return [
         Line("status", ((words, tone_of(module)), (f"  {marks}" if marks else "", "faint"))),
         _scaled("position", units.position(module.position_revolutions), own, module, tone),
@@ -92,7 +93,7 @@ def module_lines(node: NodeSnapshot, module: ModuleSnapshot, units: MachineUnits
             "2012h" if module.counters else "faults",
             (
                 ("" if since is None else f"{age_words(since)} ago: ", "faint"),
-                (counter_words(module.counters or counted), ""),
+                (counted or "none", ""),
                 ("" if module.counters or counted else " seen", "faint"),
             ),
         ),
@@ -205,10 +206,6 @@ def _mark(module: ModuleSnapshot, name: str) -> str:
 
 def mapping_words(module: ModuleSnapshot) -> str:
     return module.layout if module.layout in ("module", ASSUMED) else f"{module.layout}, {ASSUMED}"
-
-
-def counter_words(counters: dict[str, int]) -> str:
-    return ", ".join(f"{name} {count}" for name, count in counters.items() if count) or "none"
 
 
 def plain_lines(snapshot: BusSnapshot, units: MachineUnits) -> list[str]:

@@ -77,9 +77,10 @@ class Page:
     def layout(self, width: int, height: int) -> RenderableType:
         snapshot, modules, others = self._snapshot, self._snapshot.modules, lines.other_nodes(self._snapshot)
         room = height - HEAD_LINES - bool(others)
-        body: list[RenderableType]
         if not modules:
-            body = [self._text(f"\n{NO_MODULE if snapshot.load.frames_per_s else 'no frame'}", "doubtful")]
+            body: list[RenderableType] = [
+                self._text(f"\n{NO_MODULE if snapshot.load.frames_per_s else 'no frame'}", "doubtful")
+            ]
         elif len(modules) * PANEL_LINES <= room:
             rows = min(HIGHEST_PANEL, room // len(modules))
             body = [self._panel(node, module, width, rows) for node, module in modules]

@@ -71,7 +71,7 @@ class ModuleReader:
         if self._with_table:
             self._correction = self._active(module, found.get(od.TABLE_ACTIVE_CRC))
         self._seen, self._due_s, self._not_before_s = seen, now + CYCLE_S, now
-        return ModuleReading(self.node_id, found, self._layout, self._correction)
+        return ModuleReading(found, self._layout, self._correction)
 
     def _active(self, module: NodeAccess, crc32: Number | None) -> Correction:
         known = self._correction

@@ -148,8 +148,8 @@ class Watching:
     def _look(self, now: float) -> None:
         while self._readings:
             reading = self._readings.popleft()
-            self._model.learn(reading.layout)
+            module = self._model.learn(reading.layout)
             for place, value in reading.values.items():
-                self._model.put(reading.node_id, place, value, now)
+                module.put(place, value, now)
         self.latest = self._model.snapshot(now)
         self._show(self.latest)

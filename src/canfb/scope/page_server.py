@@ -220,7 +220,7 @@ class LivePage:
     def know(self, reading: ModuleReading) -> None:
         if reading.correction is not None:
             with self._lock:
-                self._of(reading.node_id).read = reading.correction
+                self._of(reading.layout.node_id).read = reading.correction
 
     def show(self, snapshot: BusSnapshot) -> None:
         with self._lock:
