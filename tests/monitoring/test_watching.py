@@ -78,13 +78,13 @@ def test_error_frames_and_long_identifiers_are_counted_only() -> None:
 
 
 def test_what_was_read_by_sdo_counts_from_the_next_snapshot_on() -> None:
-    module = canfb.ModuleConfig(node_id=NODE, cycles_per_revolution=512)
-    (layout,) = known_layouts(Config(modules=[module]))
-    monitor = Monitor(1.0)
-    monitor.watching.put(ModuleReading({od.COUNTER_MISSED: 3}, replace(layout, origin=Origin.MODULE)))
+    (layout,) = known_layouts(Config(modules=[canfb.ModuleConfig(node_id=NODE, cycles_per_revolution=512)]))
+    monitor, cause = Monitor(1.0), od.LossCause.COASTED
+    read = {od.COUNTER_MISSED: 3, od.FEEDBACK_STATUS: od.StatusBit.LOST, od.COUNTER_LOSS_CAUSE: cause}
+    monitor.watching.put(ModuleReading(read, replace(layout, origin=Origin.MODULE)))
     monitor.opened()
     ((_, first),) = monitor.shown[0].modules
-    assert (first.layout, first.counters) == ("module", {"missed": 3})
+    assert (first.layout, first.counters, first.lost_by) == ("module", {"missed": 3}, cause.text)
     assert len(monitor.shown) == 5, "of a silent bus"
 
 

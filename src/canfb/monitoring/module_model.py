@@ -186,6 +186,7 @@ class ModuleModel:
         layout, values = self.layout, self._values
         sample = layout.supervision.sample
         status = values.get(od.FEEDBACK_STATUS)
+        state = None if status is None else od.position_state(int(status))
         units, residual = values.get(od.POSITION_VALUE), values.get(od.FEEDBACK_RESIDUAL)
         per_revolution = layout.units_per_revolution
         amplitude = values.get(od.FEEDBACK_AMPLITUDE)
@@ -203,7 +204,7 @@ class ModuleModel:
         return ModuleSnapshot(
             layout=str(layout.origin),
             age_s=_since(self._came_s, now),
-            position_state=None if status is None else str(od.position_state(int(status))),
+            position_state=None if state is None else str(state),
             status=None if status is None else int(status),
             faults=[] if status is None else od.fault_words(int(status)),
             referenced=bool(int(status or 0) & od.StatusBit.REFERENCED),
@@ -225,7 +226,7 @@ class ModuleModel:
             tracks_counts=list(self._tracks),
             tracks_heard=self._tracks_received,
             seen=dict(self._counted),
-            lost_by=cause.text if cause is not None and self._state is od.PositionState.LOST else None,
+            lost_by=cause.text if cause is not None and state is od.PositionState.LOST else None,
             since_fault_s=_since(self._fault_s, now),
             counters={name: int(values[place]) for place, name in od.COUNTERS.items() if place in values},
             assumed=sorted(assumed),
