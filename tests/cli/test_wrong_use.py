@@ -84,6 +84,7 @@ WRONG_USE = {
     "simulate feedback.yaml --record no/folder/x.csv": "there is no folder",
     "simulate feedback.yaml --jitter 1ms": "--jitter: only with --rate",
     "simulate feedback.yaml --rate 100 --jitter 46%": "at most 45% (4500us)",
+    "plan --jitter 2s": "--jitter must be a number 0..1e+06, not 2000000.0 µs",
     "simulate key16.yaml -i virtual --rate 1000": "sync_jitter_us: is 60% of the period; at most 45% (450us)",
     "simulate feedback.yaml --rate 100 --jitter 0.1": "is 1000% of the period",
     "simulate drive.yaml -i virtual --samples x.csv": "--samples: the drive of the configuration moves",

@@ -167,8 +167,7 @@ def test_another_table_is_tried() -> None:
 def test_frames_that_one_side_lacks_and_odd_stamps_do_not_shift_the_pairs() -> None:
     log, _ = live(session(300))
     positions = [n for n, frame in enumerate(log) if frame.can_id == POSITION_ID]
-    less = [frame for n, frame in enumerate(log) if n not in positions[50:53]]
-    found = replayed(less)[0].compared[POSITION_ID]
+    found = replayed([one for n, one in enumerate(log) if n not in positions[50:53]])[0].compared[POSITION_ID]
     assert (found.equal, found.different, found.only_replayed) == (297, 0, 3)
     extra = log[positions[99]]._replace(data=b"12345678")
     found = replayed([*log[: positions[99]], extra, *log[positions[99] :]])[0].compared[POSITION_ID]

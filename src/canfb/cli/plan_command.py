@@ -107,4 +107,5 @@ def plan(options: argparse.Namespace) -> int:
 def _named(message: str, parser: argparse.ArgumentParser) -> str:
     first = message.split()[0]
     options = {action.dest: action.option_strings[-1] for action in parser._actions if action.option_strings}
-    return message.replace(first, {"jitter_us": "--jitter", **options}.get(first, first), 1)
+    text = message.replace(first, {"jitter_us": "--jitter", **options}.get(first, first), 1)
+    return f"{text} µs" if first == "jitter_us" else text  # it is given in any unit
