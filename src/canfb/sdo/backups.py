@@ -64,11 +64,11 @@ class Backup:
 
 def backup_text(backup: Backup, described: ObjectDescriptions) -> str:
     """The backup as YAML. KeyError for a parameter that the EDS does not have."""
-    entries = None
+    tail = "table: null  # the identity: no table\n"
     if backup.table:
         table = CorrectionTable.from_bytes(backup.table)
         values = [short_real(value) for value in table.entries.tolist()]
-        entries = {"crc32": f"{table.crc32:08X}", "entries": values}
+        tail = _dumped({"table": {"crc32": f"{table.crc32:08X}", "entries": values}})
     head = {
         "canfb_backup": FORMAT,
         "date": backup.date,
@@ -81,7 +81,6 @@ def backup_text(backup: Backup, described: ObjectDescriptions) -> str:
     lines += [_dumped(head).rstrip(), "parameters:", *_block(backup.values, described)]
     lines += ["not_restored:  # of the machine, for information: set the preset again after an exchange"]
     lines += _block(backup.not_restored, described)
-    tail = _dumped({"table": entries}) if entries else "table: null  # the identity: no table\n"
     return "\n".join(lines) + "\n" + tail
 
 
@@ -321,12 +320,10 @@ def _leave_operational(module: NodeAccess, preop: bool) -> None:
 def _write(module: NodeAccess, configured: Configured, *, with_table: bool) -> None:
     """Without ``with_table`` no activation, which forgets drift."""
     for one in configured.writes():
-        if (one.index, one.subindex) in TABLE_WRITES and not with_table:
-            continue
-        if (one.index, one.subindex) == od.TABLE_STAGED:
-            module.download_domain(one.index, one.subindex, one.data)
-        else:
-            module.write_bytes(one.index, one.subindex, one.data)
+        place = one.index, one.subindex
+        write = module.download_domain if place == od.TABLE_STAGED else module.write_bytes
+        if with_table or place not in TABLE_WRITES:
+            write(*place, one.data)
 
 
 def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, Any]]:

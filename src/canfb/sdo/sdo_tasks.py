@@ -54,15 +54,10 @@ def check_value(data_type: int, value: Any, low: float | None = None, high: floa
             raise ValueError(f"must be true or false, not {value!r}")
         value = bool(value)
     else:
-        value = _integer(data_type, value, low, high)
+        lowest, highest = value_range(data_type, low, high)
+        if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
+            raise ValueError(f"must be a whole number {lowest}..{highest}, not {value!r}")
     datatypes.encode(data_type, value)  # says what the type cannot hold: a text beyond Latin-1
-    return value
-
-
-def _integer(data_type: int, value: Any, low: float | None, high: float | None) -> int:
-    lowest, highest = value_range(data_type, low, high)
-    if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
-        raise ValueError(f"must be a whole number {lowest}..{highest}, not {value!r}")
     return value
 
 
