@@ -141,8 +141,6 @@ def _faster(plan: Plan) -> Ways:
 
 
 def _more_samples(plan: Plan) -> Ways:
-    if all(module.samples_itself for module in plan.modules):
-        return
     for count in range(min(one.samples_per_sync for one in plan.modules) + 1, MOST_PER_SYNC + 1):
         try:
             modules = tuple(one.with_samples(max(count, one.samples_per_sync)) for one in plan.modules)
