@@ -150,12 +150,10 @@ class Motor:
             return
         net = torque_nm - math.copysign(friction, self.speed_rad_s or torque_nm)
         stop_s = self._time_to_stop(net)
-        if stop_s >= step_s:
-            self._accelerate(net, step_s)
-            return
-        self._accelerate(net, stop_s)
-        self.speed_rad_s = 0.0
-        self._move(torque_nm, step_s - stop_s)
+        self._accelerate(net, min(stop_s, step_s))
+        if stop_s < step_s:
+            self.speed_rad_s = 0.0
+            self._move(torque_nm, step_s - stop_s)
 
     def _time_to_stop(self, net_nm: float) -> float:
         speed, viscous, inertia = (
