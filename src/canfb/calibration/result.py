@@ -91,8 +91,7 @@ def samples_in_bins(phase: FloatArray) -> IntArray:
 def mean_in_bins(phase: FloatArray, values: FloatArray) -> FloatArray:
     """Mean of the values at these phases in each bin, NaN in one without."""
     count = samples_in_bins(phase)
-    with np.errstate(invalid="ignore"):
-        mean = np.bincount(bins_of(phase), values, BINS) / np.where(count, count, np.nan)
+    mean = np.bincount(bins_of(phase), values, BINS) / np.where(count, count, np.nan)
     return np.asarray(mean, np.float64)
 
 
