@@ -46,12 +46,21 @@ def is_restricted(can_id: int) -> bool:
     return any(first <= can_id <= last for first, last in _RESTRICTED)
 
 
-def check(new: int, old: int, exists: Callable[[int], object] = is_valid) -> None:
+def check(
+    new: int,
+    old: int,
+    exists: Callable[[int], object] = is_valid,
+    *,
+    always_named: bool = False,
+    reserved: int = 0,
+) -> None:
     """Refuse a COB-ID that an 11-bit device cannot use, or a change of one in use: SdoAbort 06090030h (CiA
     301, 7.5.2).
 
     `exists`: whether the object exists with a value.
     """
-    wrong = exists(new) and (is_restricted(new & CAN_ID) or (exists(old) and (new ^ old) & CAN_ID))
-    if new & _EXTENDED_OR_RESERVED or wrong:
+    # The CAN-ID of an object that does not exist is free, unless it is `always_named`.
+    restricted = is_restricted(new & CAN_ID) and (always_named or exists(new))
+    changed = exists(new) and exists(old) and (new ^ old) & CAN_ID
+    if restricted or changed or new & (_EXTENDED_OR_RESERVED | reserved):
         raise SdoAbort(AbortCode.INVALID_VALUE)

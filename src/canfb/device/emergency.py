@@ -32,7 +32,7 @@ class Emergency(Timed):
         self._inhibit = dictionary.assumed(0x1015)
         self._allowed = False
         self.reset()
-        self._cob_id.on_check = self._check_cob_id
+        self._cob_id.on_check = lambda value: cob.check(value, self._cob_id.value, reserved=cob.NO_RTR)
         self._cob_id.on_written = core.reactions.routes_changed
         self._inhibit.on_written = lambda: self.tick(core.call.now)
         self._history_count.on_check = refuse_if(bool)  # 0 clears the history
@@ -124,8 +124,3 @@ class Emergency(Timed):
         if entry.subindex > self._history_count.value:
             raise SdoAbort(AbortCode.NO_DATA)
         return int(entry.value)
-
-    def _check_cob_id(self, value: int) -> None:
-        if value & cob.NO_RTR:
-            raise SdoAbort(AbortCode.INVALID_VALUE)
-        cob.check(value, self._cob_id.value)

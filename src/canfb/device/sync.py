@@ -73,7 +73,9 @@ class Sync(Timed):
         self._overflow = dictionary.assumed(0x1019)
         self._enabled = False
         self._counter = 0
-        self._cob_id.on_check = self._check_cob_id
+        self._cob_id.on_check = lambda value: cob.check(
+            value, self._cob_id.value, lambda cob_id: cob_id & cob.GENERATE, always_named=True
+        )
         self._overflow.on_check = self._check_overflow
         self._cob_id.on_written = self._period.on_written = self._restart
         self._window.on_written = self._overflow.on_written = self._read
@@ -155,11 +157,6 @@ class Sync(Timed):
         self._start(self._core.call.now)
         self._core.reactions.routes_changed()
 
-    def _check_cob_id(self, value: int) -> None:
-        if cob.is_restricted(value & cob.CAN_ID):
-            raise SdoAbort(AbortCode.INVALID_VALUE)
-        cob.check(value, self._cob_id.value, lambda cob_id: cob_id & cob.GENERATE)
-
     def _check_overflow(self, value: int) -> None:
         if value == 1 or value > _LONGEST_COUNTER:
             raise SdoAbort(AbortCode.INVALID_VALUE)
@@ -181,7 +178,9 @@ class TimeStamp:
     def __init__(self, core: Core) -> None:
         self._entry = entry = core.dictionary.assumed(0x1012)
         self._core = core
-        entry.on_check = lambda value: _check_time_cob_id(value, entry.value)
+        entry.on_check = lambda value: cob.check(
+            value, entry.value, lambda cob_id: cob_id & CONSUME, always_named=True, reserved=PRODUCE
+        )
         entry.on_written = core.reactions.routes_changed
 
     @property
@@ -195,9 +194,3 @@ class TimeStamp:
             self._core.counters.malformed_frames += 1
             return
         self._core.application.time_received(int.from_bytes(data[4:], "little"), milliseconds, now)
-
-
-def _check_time_cob_id(value: int, old: int) -> None:
-    if value & PRODUCE or cob.is_restricted(value & cob.CAN_ID):
-        raise SdoAbort(AbortCode.INVALID_VALUE)
-    cob.check(value, old, lambda cob_id: cob_id & CONSUME)

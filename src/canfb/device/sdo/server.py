@@ -42,7 +42,6 @@ class SdoServer(Timed):
         self._core = core
         self._transfer: Transfer | None = None
         self._pending: Pending | None = None
-        self._multiplexer = b""  # of the running call
         self._begin: dict[int, Callable[[bytes], Transfer | None]] = {
             INITIATE_DOWNLOAD: self._download,
             INITIATE_UPLOAD: self._upload,
@@ -62,6 +61,7 @@ class SdoServer(Timed):
         self._forget_answer()
         self._core.pending = None
         transfer, self._transfer = self._transfer, None
+        # Of the running call.
         self._multiplexer = data[1:4] if transfer is None else transfer.multiplexer
         try:
             if transfer is not None and transfer.accepts(data[0]):
@@ -211,9 +211,7 @@ class SdoChannel:
 
 
 def _check_cob_id(entry: Entry, value: int) -> None:
-    if value & _DYNAMIC:
-        raise SdoAbort(AbortCode.INVALID_VALUE)
-    cob.check(value, entry.value)
+    cob.check(value, entry.value, reserved=_DYNAMIC)
 
 
 def channel_indices(dictionary: Dictionary) -> list[int]:
