@@ -60,8 +60,7 @@ class Rpdo(Timed):
         self._unpack = unpacker(slots)
         self.is_synchronous: bool = self.parameters.type.value in SYNCHRONOUS
         self._timeout_s: float = self._timeout.value / 1000
-        self._pending: bytes | None = None
-        # PDOs of a synchronous type that came since the last SYNC; the last one is taken over.
+        # PDOs of a synchronous type that came since the last SYNC; the last one, `_pending`, is taken over.
         self.waiting = 0
         self.deadline = NEVER
         self._choose_usual()
@@ -102,9 +101,9 @@ class Rpdo(Timed):
         return False
 
     def synchronise(self, now: float) -> None:
-        data, self._pending, self.waiting = self._pending, None, 0
-        if data is not None:
-            self._counters.refused_rpdo_values += self._unpack(data)
+        waiting, self.waiting = self.waiting, 0
+        if waiting:
+            self._counters.refused_rpdo_values += self._unpack(self._pending)
             self._core.process.rpdo_received(self.number, now)
 
     def tick(self, now: float) -> None:

@@ -126,28 +126,22 @@ class Tpdo(Timed):
 
     def tick(self, now: float) -> None:
         """An event that may go out now, or the event timer is over."""
-        if now >= self._free_s:
-            self.send(now)
-        else:
-            self._event = True
-            self._timer_end = NEVER
-            self._schedule()
+        self._timer_end = NEVER
+        self.trigger(now)
 
     def _is_turn(self, counter: int | None) -> bool:
         if self._type == 0:
             event, self._event = self._event, False
             return event
         if self._waits_for_start and counter is not None:
-            if counter != self._start_value.value:
-                return False
-            self._waits_for_start = False
+            is_turn: bool = counter == self._start_value.value
+            self._waits_for_start = not is_turn
+        else:
+            self._syncs += 1
+            is_turn = self._syncs >= self._type
+        if is_turn:
             self._syncs = 0
-            return True
-        self._syncs += 1
-        if self._syncs < self._type:
-            return False
-        self._syncs = 0
-        return True
+        return is_turn
 
     def _restart(self, now: float) -> None:
         self._event = False
