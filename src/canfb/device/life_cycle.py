@@ -292,7 +292,7 @@ class LifeCycle(Reactions):
         self.enter(self.services.error_behaviour.reaction(self.core.state), now, why)
 
     def heartbeat_changed(self) -> None:
-        if self.services.producer.is_active:
+        if self.services.producer.period_s:
             self.services.guarding.configure(self.core.call.now)
         self.routes_changed()
 

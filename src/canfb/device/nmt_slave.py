@@ -75,16 +75,12 @@ class HeartbeatProducer(Timed):
         self._entry.on_written = self._written
 
     @property
-    def is_active(self) -> bool:
-        return self._period_s > 0
-
-    @property
-    def _period_s(self) -> float:
+    def period_s(self) -> float:
         return float(self._entry.value / 1000)
 
     def boot_up(self, now: float) -> None:
         self._core.emit(Frame(self._can_id, b"\x00"))
-        period = self._period_s
+        period = self.period_s
         self.deadline = now + period if period else NEVER
 
     def stop(self) -> None:
@@ -93,12 +89,12 @@ class HeartbeatProducer(Timed):
     def tick(self, now: float) -> None:
         """Send one heartbeat, also for several that were missed."""
         self._core.emit(Frame(self._can_id, bytes([self._core.state])))
-        period = self._period_s
+        period = self.period_s
         following = self.deadline + period if period else NEVER
         self.deadline = following if following > now else now + period
 
     def _written(self) -> None:
-        self.deadline = self._core.call.now if self._period_s else NEVER
+        self.deadline = self._core.call.now if self.period_s else NEVER
         self._core.reactions.heartbeat_changed()
 
 
@@ -187,14 +183,12 @@ class NodeGuarding(Timed):
         self._can_guard = (0x100C, 0) in core.dictionary
         self._guard_time = core.dictionary.assumed(0x100C)
         self._factor = core.dictionary.assumed(0x100D)
-        self._toggle = 0
-        self._guarded = False
         for entry in (self._guard_time, self._factor):
             entry.on_written = self._written
 
     @property
     def can_id(self) -> int | None:
-        return self._can_id if self._can_guard and not self._heartbeat.is_active else None
+        return self._can_id if self._can_guard and not self._heartbeat.period_s else None
 
     @property
     def life_time_s(self) -> float:
