@@ -49,7 +49,7 @@ class Emergency(Timed):
         self._waiting: deque[bytes] = deque()
         self._sent_s = -NEVER
         self.deadline = NEVER
-        self._set_register()
+        self._register.value = 0
         self._history_count.value = 0
 
     def enable(self, allowed: bool, now: float) -> None:
@@ -73,13 +73,11 @@ class Emergency(Timed):
         key = (int(code), source)
         if again or key not in self._active:
             self._active[key] = int(register_bits | ErrorRegister.GENERIC)
-            self._set_register()
             self._remember(int(code), manufacturer)
             self._send(int(code), manufacturer, now)
 
     def clear(self, code: int, now: float, source: Hashable = None) -> None:
         if self._active.pop((int(code), source), None) is not None:
-            self._set_register()
             self._send(EmergencyCode.NO_ERROR, b"", now)
 
     def tick(self, now: float) -> None:
@@ -100,14 +98,12 @@ class Emergency(Timed):
         self.tick(now)
 
     def _send(self, code: int, manufacturer: bytes, now: float) -> None:
+        self._register.value = functools.reduce(operator.or_, self._active.values(), 0)
         if len(self._waiting) == _WAITING:
             self._waiting.popleft()
             self._core.counters.lost_emergencies += 1
         self._waiting.append(EMERGENCY.pack(code, self._register.value, manufacturer))
         self.tick(now)
-
-    def _set_register(self) -> None:
-        self._register.value = functools.reduce(operator.or_, self._active.values(), 0)
 
     def _remember(self, code: int, manufacturer: bytes) -> None:
         newest = code | int.from_bytes(manufacturer[:2], "little") << 16

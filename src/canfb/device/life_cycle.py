@@ -20,11 +20,11 @@ from canfb.device.nmt_slave import (
     COMMUNICATING,
     COMMUNICATION_ONLY,
     NEXT_STATE,
-    ErrorBehaviour,
     HeartbeatConsumer,
     HeartbeatProducer,
     NodeGuarding,
     Startup,
+    error_behaviour,
 )
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.sdo.server import SdoChannel, channel_indices
@@ -61,7 +61,7 @@ class Services:
         self._core = core
         self._silence = silence
         self.emergency = core.emergency = Emergency(core)  # first: the others report to it
-        self.error_behaviour = ErrorBehaviour(core.dictionary)
+        self.reaction = error_behaviour(core.dictionary)
         self._duplicate_reported = False
         self.producer = HeartbeatProducer(core)
         self.guarding = NodeGuarding(core, self.producer)
@@ -93,7 +93,6 @@ class Services:
             channel.configure()
 
     def forget(self) -> None:
-        self.producer.stop()
         self.emergency.reset()
         self._duplicate_reported = False
 
@@ -289,7 +288,7 @@ class LifeCycle(Reactions):
     def communication_error(self, why: str, now: float) -> None:
         """The NMT state of 1029h:01, and ``why``."""
         self.core.application.communication_failed(now)
-        self.enter(self.services.error_behaviour.reaction(self.core.state), now, why)
+        self.enter(self.services.reaction(self.core.state), now, why)
 
     def heartbeat_changed(self) -> None:
         if self.services.producer.period_s:

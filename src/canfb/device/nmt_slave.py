@@ -52,17 +52,13 @@ class Startup:
         return not self._entry.value & WAIT_FOR_MASTER
 
 
-class ErrorBehaviour:
-    """Object 1029h: the NMT state that a communication error leads to."""
-
-    def __init__(self, dictionary: Dictionary) -> None:
-        self._entry = dictionary.assumed(0x1029, 1)
-        for entry in dictionary:
-            if entry.index == 0x1029 and entry.subindex:
-                entry.on_check = refuse_if(lambda value: value not in REACTION)
-
-    def reaction(self, state: NmtState) -> NmtState:
-        return REACTION.get(self._entry.value, REACTION[0]).get(state, state)
+def error_behaviour(dictionary: Dictionary) -> Callable[[NmtState], NmtState]:
+    """Object 1029h: where a communication error leads from a NMT state."""
+    communication = dictionary.assumed(0x1029, 1)
+    for entry in dictionary:
+        if entry.index == 0x1029 and entry.subindex:
+            entry.on_check = refuse_if(lambda value: value not in REACTION)
+    return lambda state: REACTION.get(communication.value, REACTION[0]).get(state, state)
 
 
 class HeartbeatProducer(Timed):
@@ -82,9 +78,6 @@ class HeartbeatProducer(Timed):
         self._core.emit(Frame(self._can_id, b"\x00"))
         period = self.period_s
         self.deadline = now + period if period else NEVER
-
-    def stop(self) -> None:
-        self.deadline = NEVER
 
     def tick(self, now: float) -> None:
         """Send one heartbeat, also for several that were missed."""
