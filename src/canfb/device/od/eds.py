@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-import struct
 from configparser import Error as ParserError, RawConfigParser
 from dataclasses import dataclass
 from enum import IntEnum
@@ -284,11 +283,11 @@ def whole(text: str) -> int:
 
 def _real(text: str, data_type: int) -> float:
     if text.lower().startswith("0x"):
-        code, size = ("f", 4) if data_type == DataType.REAL32 else ("d", 8)
+        size = datatypes.byte_length(data_type)
         data = whole(text)
         if data >> (8 * size):
             raise ValueError(f"{text} has more bits than a REAL{8 * size}")
-        value = float(struct.unpack(f">{code}", data.to_bytes(size, "big"))[0])
+        value: float = datatypes.decode(data_type, data.to_bytes(size, "little"))
     else:
         value = float(text)
     if not math.isfinite(value):

@@ -177,7 +177,6 @@ class BlockUpload(Transfer):
         self._crc = 0
         self._expected = _START
         self._confirmed = 0
-        self._sequence = 0
         answer = _UPLOAD_ANSWER | (CRC_SUPPORTED if with_crc else 0)
         reply(bytes([answer]) + multiplexer + len(data).to_bytes(4, "little"))
 
