@@ -190,13 +190,8 @@ class ErrorControlModel:
             self.sent.append((now, f"0A0#{emergency}"))
 
 
-SIGNS = st.lists(
-    st.tuples(
-        st.integers(0, 150),
-        st.sampled_from(["none", "beat", "guard"]) | st.sampled_from([1, 1, 2, 128, 129, 130]),
-    ),
-    max_size=25,
-)
+SIGN = st.sampled_from(["none", "beat", "guard"]) | st.sampled_from([1, 1, 2, 128, 129, 130])
+SIGNS = st.lists(st.tuples(st.integers(0, 150), SIGN), max_size=25)
 
 
 @given(st.integers(1, 120), st.integers(0, 60), st.integers(0, 3), st.booleans(), SIGNS)
@@ -209,12 +204,8 @@ def test_whatever_comes_and_does_not_come(
     signs: list[tuple[int, str | int]],
 ) -> None:
     dictionary = Dictionary.load(sample_path, ID)
-    for place, value in (
-        ((0x100C, 0), guard_ms),
-        ((0x100D, 0), factor),
-        ((0x1016, 1), WATCHED << 16 | beat_ms),
-        ((0x1029, 1), int(stays)),
-    ):
+    places = (0x100C, 0), (0x100D, 0), (0x1016, 1), (0x1029, 1)
+    for place, value in zip(places, (guard_ms, factor, WATCHED << 16 | beat_ms, int(stays)), strict=True):
         entry = dictionary.entry(*place)
         entry.default = entry.value = value  # as saved: it is there after a reset
     bench = Bench(dictionary)
@@ -239,8 +230,10 @@ def test_whatever_comes_and_does_not_come(
 
 
 def test_a_new_life_time_runs_from_the_write_on_and_ends_no_error(bench: Bench) -> None:
-    assert (bench.write(0x100C, 0, 100, 2), bench.write(0x100D, 0, 3, 1)) == (OK, OK)
     guard(bench)
+    bench.nmt(130)  # the master has to ask again
+    assert (bench.write(0x100C, 0, 100, 2), bench.write(0x100D, 0, 3, 1)) == (OK, OK)
+    assert (bench.node.deadline(), guard(bench)) == (None, ["720#7F"])
     bench.run(0.2)
     assert bench.write(0x100C, 0, 200, 2) == OK
     assert bench.run(10.0) == [(0.8, GUARD_LOST)]
@@ -248,6 +241,11 @@ def test_a_new_life_time_runs_from_the_write_on_and_ends_no_error(bench: Bench) 
     assert bench.read(0x1001) == 0x11
     assert bench.node.deadline() is None
     assert guard(bench) == ["720#FF", GOOD]
+    for off in ((0x100C, 0, 0, 2), (0x1017, 0, 100, 2)):
+        bench.write(0x100C, 0, 100, 2)
+        guard(bench)
+        bench.run(10.0)
+        assert (bench.read(0x1001), bench.write(*off), bench.read(0x1001)) == (0x11, OK, 0)
 
 
 def test_heartbeats_neither_drift_nor_catch_up(bench: Bench) -> None:

@@ -109,13 +109,11 @@ def test_lengths_and_the_time_out(
     assert len(bench.application.told("rpdo_received")) == len(taken) - 1
     assert seen == errors.sent
     counters = bench.node.counters
-    assert (counters.short_rpdos, counters.long_rpdos, len(bad)) == (
-        counts["short"],
-        counts["long"],
-        counts["short"],
-    )
+    assert {"short": counters.short_rpdos, "long": counters.long_rpdos} == counts
+    assert len(bad) == counts["short"]
     assert bench.read(0x1001) == (0x11 if errors.active else 0)
     assert not errors.last or bench.read(0x1003, 1) == errors.last
+    assert bench.nmt(128) == bench.run(1.0) == []  # no time-out there
 
 
 def refuse(value: int) -> None:
@@ -173,6 +171,9 @@ def test_the_whole_procedure_takes_effect_in_operational_too(bench: Bench) -> No
     assert remap(bench, 0x1400, [0x20000210, 0x20000110]) == [OK] * 6
     bench.send(RPDO, "01000200")
     assert (value(bench, 2), value(bench, 1)) == (1, 2)
+    assert bench.write(0x1801, 1, 0x800002A0, 4) == OK
+    assert bench.write(0x1801, 6, 241, 1) == AbortCode.INVALID_VALUE
+    assert bench.sync() == bench.send(0x2A0, rtr=True) == []  # TPDO2 is not valid
 
 
 MAPPABLE = {
