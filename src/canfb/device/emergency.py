@@ -48,7 +48,6 @@ class Emergency(Timed):
         self._active: dict[tuple[int, Hashable], int] = {}
         self._waiting: deque[bytes] = deque()
         self._sent_s = -NEVER
-        self.deadline = NEVER
         self._register.value = 0
         self._history_count.value = 0
 

@@ -13,6 +13,7 @@ from configparser import Error as ParserError, RawConfigParser
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -183,21 +184,18 @@ def content_described(content: bytes) -> Described:
     contents = parse(content)
     units = {_section_name(match[2]): match[1].strip() for match in _UNIT.finditer(_text(content))}
     places = sections(contents)
-    subindices: dict[int, list[int]] = {}
-    for name in contents:
-        if match := _SUBINDEX.match(name):
-            subindices.setdefault(int(match[1], 16), []).append(int(match[2], 16))
     objects, entries = [], []
-    for index in sorted({index for index, _ in places if index >= FIRST_OBJECT}):
+    own = sorted(place for place in places if place[0] >= FIRST_OBJECT)
+    for index, of_object in groupby(own, lambda place: place[0]):
         head = f"{index:04X}"
         kind = _kind(contents, head) if head in contents else ObjectKind.RECORD
         if kind is ObjectKind.NULL:
             continue
-        has_subs = index in subindices or kind in (ObjectKind.ARRAY, ObjectKind.RECORD, ObjectKind.DEFSTRUCT)
-        subs = sorted(subindices.get(index, ())) if has_subs else [0]
+        subs = [sub for _, sub in of_object if places[index, sub] != head]
+        has_subs = bool(subs) or kind in (ObjectKind.ARRAY, ObjectKind.RECORD, ObjectKind.DEFSTRUCT)
         name = contents.get(head, {}).get("ParameterName", head).strip()
         objects.append(index)
-        for sub in subs:
+        for sub in subs if has_subs else [0]:
             section = places[index, sub]
             unit = units.get(section, "")
             entries.append(_description(contents, section, (index, sub), name if has_subs else "", unit))

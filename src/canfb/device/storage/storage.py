@@ -58,7 +58,7 @@ class Writing(Timed):
     """Gives changes to a store one by one."""
 
     def __init__(self, store: Store, now: Callable[[], float]) -> None:
-        self._store = store
+        self.store = store
         self._background = store if isinstance(store, BackgroundStore) else None
         self._now = now
         self.waiting: deque[Done] = deque()
@@ -74,7 +74,7 @@ class Writing(Timed):
             self.deadline = self._now() + POLL_S
             return
         try:
-            self._store.save(changes)
+            self.store.save(changes)
         except OSError as error:
             done(error)
         else:
@@ -131,7 +131,6 @@ class Storage:
         self._dictionary = dictionary = core.dictionary
         self.entries = KeptEntries(dictionary, self.configuration_changed)
         self.faults: dict[ParameterGroup, str] = {}
-        self._store = store
         self.writing = None if store is None else Writing(store, lambda: core.call.now)
         self._images: dict[ParameterGroup, bytes] = {}
         self._verify = [dictionary.assumed(VERIFY, subindex) for subindex in (1, 2)]
@@ -142,14 +141,14 @@ class Storage:
 
     @property
     def is_there(self) -> bool:
-        return self._store is not None
+        return self.writing is not None
 
     def power_on(self) -> None:
         self._images, self.faults = {}, {}
-        if self._store is None:
+        if self.writing is None:
             return
         try:
-            kept = self._store.load()
+            kept = self.writing.store.load()
         except OSError as error:
             kept = dict.fromkeys(PARAMETERS, error)
         for group, image in kept.items():
