@@ -123,6 +123,7 @@ def test_without_optional_objects(register: bool) -> None:
     assert bench.send(0x700 + ID, rtr=True) == [], "no guarding"
     assert bench.send(0x680, "4001120100000000") == [], "half a second channel is none"
     assert bench.read(0x1201, 1) == 0x680
+    assert bench.send(0x600 + ID, "4001120100000000") == [f"{0x580 + ID:03X}#4301120180060000"]
 
 
 WATCHED = 0x47

@@ -48,14 +48,10 @@ def started(sample_path: Path) -> Bench:
 
 
 SIZES = st.integers(0, 300) | st.sampled_from([0, 1, 6, 7, 8, 14, 888, 889, 890])
+LOST = st.dictionaries(st.integers(0, 9), st.integers(1, 20))
 
 
-@given(
-    SIZES,
-    st.booleans(),
-    st.lists(st.integers(1, 127), min_size=1, max_size=4),
-    st.dictionaries(st.integers(0, 9), st.integers(1, 20)),
-)
+@given(SIZES, st.booleans(), st.lists(st.integers(1, 127), min_size=1, max_size=4), LOST)
 @example(16384, True, [127], {})
 @example(0, True, [5], {0: 1})
 @examples(50)
@@ -108,23 +104,22 @@ REFUSALS = {
 @pytest.mark.parametrize("code", REFUSALS)
 def test_refusals(bench: Bench, code: AbortCode) -> None:
     for number, request in enumerate(REFUSALS[code], 1):
+        bench.sdo("40262000")  # a transfer that the request gives up
         assert bench.sdo(request) == abort(request[2:8], code)
         assert bench.node.counters.sdo_aborts == number
 
 
-@pytest.mark.parametrize(
-    ("begin", "wrong", "code"),
-    [
-        ("40081000", "00", AbortCode.COMMAND),
-        ("A008100014", "A1", AbortCode.COMMAND),
-        ("A008100014", "A20114", AbortCode.COMMAND),
-        ("2121200009000000", "10", AbortCode.TOGGLE),
-        (f"C2{TABLE}0E", "00", AbortCode.SEQUENCE_NUMBER),
-    ],
-)
-def test_a_command_out_of_turn_ends_the_transfer(
-    bench: Bench, begin: str, wrong: str, code: AbortCode
-) -> None:
+@pytest.mark.parametrize(("begin", "wrong", "code"), [
+    ("40081000", "00", AbortCode.COMMAND),
+    ("A008100014", "A1", AbortCode.COMMAND),
+    ("A008100014", "A20114", AbortCode.COMMAND),
+    ("2121200009000000", "10", AbortCode.TOGGLE),
+    ("2121200005000000", "0B6162", AbortCode.TOO_SHORT),
+    ("2121200005000000", "0061626364656667", AbortCode.TOO_LONG),
+    ("2121200000000000", "0061626364656667", AbortCode.TOO_LONG),
+    (f"C2{TABLE}0E", "00", AbortCode.SEQUENCE_NUMBER),
+])  # fmt: skip
+def test_what_ends_a_transfer(bench: Bench, begin: str, wrong: str, code: AbortCode) -> None:
     bench.sdo(begin)
     assert bench.sdo(wrong) == abort(begin[2:8], code)
     assert bench.sdo("60")[0].endswith("01000405")
@@ -143,6 +138,9 @@ def test_the_upload_is_a_snapshot(bench: Bench) -> None:
     bench.dictionary.entry(0x2026).value = 0
     assert bench.sdo("60") == ["0001020304050607"]
     assert bench.sdo("70") == ["1D08000000000000"]
+    assert bench.sdo("A02620007F08") == ["4126200008000000"]  # short enough for segments
+    assert bench.nmt(2) == bench.nmt(128) == []
+    assert bench.sdo("60")[0].endswith("01000405")  # STOPPED has given it up
 
 
 def test_a_raising_program_leaves_the_server_usable(bench: Bench) -> None:
@@ -155,6 +153,8 @@ def test_a_raising_program_leaves_the_server_usable(bench: Bench) -> None:
     assert bench.read(0x1000) == 0x40191
 
 
-def test_expedited_text_without_a_size(bench: Bench) -> None:
+def test_expedited_without_a_size(bench: Bench) -> None:
     assert bench.sdo("2221200061626364") == ["6021200000000000"]
     assert bench.dictionary.entry(0x2021).value == "abcd"
+    assert bench.sdo("220C1000E8030000") == ["600C100000000000"]  # two bytes of it
+    assert bench.read(0x100C) == 1000
