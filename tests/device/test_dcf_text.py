@@ -72,8 +72,7 @@ def test_file_info_and_commissioning(path: Path) -> None:
         "LSS_SerialNumber": "4711",
     }
     info = dcf["FileInfo"]
-    assert info["FileName"] == "node.dcf"
-    assert info["LastEDS"] == "sample.eds"
+    assert (info["FileName"], info["LastEDS"]) == ("node.dcf", "sample.eds")
     assert (info["CreationDate"], info["CreationTime"]) == ("11-21-2026", "08:15PM")
     assert (info["ModificationDate"], info["ModificationTime"]) == ("11-21-2026", "08:15PM")
     assert list(dcf).index("DeviceComissioning") == list(dcf).index("DeviceInfo") + 1

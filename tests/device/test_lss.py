@@ -165,8 +165,7 @@ def test_without_a_node_id_there_is_lss_and_nothing_else(make: Callable[..., Lss
     assert bench.node.state is NmtState.INITIALISING
     assert (bench.node.own_can_ids, bench.node.counters.duplicate_frames) == (frozenset(), 0)
     bench.node.emergency(0x7300, 0x20, now=0.0)
-    assert bench.node.bus_off(1.0) == bench.node.bus_back(2.0) == []
-    assert bench.run(10.0) == []
+    assert bench.node.bus_off(1.0) == bench.node.bus_back(2.0) == bench.run(10.0) == []
     assert bench.configure().lss(0x5E) == ["5EFF"]
 
 
