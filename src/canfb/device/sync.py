@@ -82,7 +82,6 @@ class Sync(Timed):
         self.configure()
 
     def configure(self) -> None:
-        self._core.window_end = NEVER
         self._length_error = False
         self._read()
 
