@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from device_kit import ID, OK, Bench, hexes
-from hypothesis import given, strategies as st
+from hypothesis import example, given, strategies as st
 
 from canfb.cia301.codes import AbortCode, EmergencyCode, NmtState
 from canfb.cia301.frame import Frame
@@ -196,6 +196,7 @@ SIGNS = st.lists(st.tuples(st.integers(0, 150), SIGN), max_size=25)
 
 
 @given(st.integers(1, 120), st.integers(0, 60), st.integers(0, 3), st.booleans(), SIGNS)
+@example(50, 0, 0, False, [(0, "beat"), (0, 130), (100, "none")])
 def test_whatever_comes_and_does_not_come(
     sample_path: Path,
     beat_ms: int,
@@ -265,8 +266,7 @@ def test_the_program_hears_of_a_loss_before_the_state_changes(bench: Bench) -> N
     bench.operational()
     beat(bench)
     assert bench.run(3.0) == [(1.0, LOST)]
-    assert heard == [(1.0, NmtState.OPERATIONAL)]
-    assert bench.read(0x1003, 1) == 0x00478130
+    assert (heard, bench.read(0x1003, 1)) == ([(1.0, NmtState.OPERATIONAL)], 0x00478130)
     bench.node.bus_off(bench.now)
     assert heard[1:] == [(bench.now, NmtState.PRE_OPERATIONAL)]
 

@@ -54,6 +54,8 @@ def test_the_order_within_a_sync(bench: Bench) -> None:
     assert order[3:] == [("sync", 5), "sampled", ("sync", 5), ("sync", 5)]
     assert bench.write(0x1005, 0, 0x81, 4) == OK
     assert (bench.sync(), bench.send(0x081)) == ([], ["2A0#0A000000"])
+    assert bench.nmt(130) + bench.sync() == ["720#00"]  # at 80h again
+    assert bench.application.told("idle_sync_received") == [None]
 
 
 @pytest.mark.parametrize(("overflow", "counters"), [(0, [None] * 3), (2, [1, 2, 1])])
@@ -128,9 +130,7 @@ def test_the_time_is_told_if_it_is_one(bench: Bench) -> None:
     wrong = ["", "00", "00" * 5, "00" * 7, "00" * 8, "005C26050000", "FFFFFF0F0100"]
     assert [bench.send(TIME, data) for data in wrong] == [[]] * len(wrong)
     assert (len(seen), bench.node.counters.malformed_frames) == (2, len(wrong))
-    bench.nmt(130)
-    bench.send(TIME, TIME_DATA)
-    assert len(seen) == 2
+    assert (bench.nmt(130), bench.send(TIME, TIME_DATA), len(seen)) == (["720#00"], [], 2)
 
 
 def test_the_can_id_of_time_is_fixed_while_it_is_used(bench: Bench) -> None:
