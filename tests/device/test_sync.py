@@ -79,7 +79,7 @@ def test_a_late_tick_sends_one_sync(bench: Bench) -> None:
     bench.write(0x1005, 0, PRODUCES, 4)
     bench.now = 0.0015
     assert bench.tick() + bench.nmt(1) == ["080#"]
-    assert bench.node.deadline() == pytest.approx(0.002)  # neither late nor begun anew
+    assert bench.node.deadline() == pytest.approx(0.002)  # neither late nor restarted
     bench.now = 5.0
     assert bench.tick()[0] == "080#"
     assert bench.node.deadline() == pytest.approx(5.001)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from canfb.errors import reason
 
 RETRY_S = 0.2  # between attempts on a bus that is down
-LASTING_S = 2 * RETRY_S  # reading fails for this long without a break: the bus is gone, not one datagram bad
+LASTING_S = 2 * RETRY_S  # reading fails for this long without a break: the bus is gone
 SETTLED_S = 1.0  # without a failure, before a bus is said to work again
 
 # Classes of SocketCAN's error frames (linux/can/error.h).

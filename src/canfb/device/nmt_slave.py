@@ -53,7 +53,7 @@ class Startup:
 
 
 def error_behaviour(dictionary: Dictionary) -> Callable[[NmtState], NmtState]:
-    """Object 1029h: where a communication error leads from a NMT state."""
+    """Object 1029h: the NMT state to which a communication error leads."""
     communication = dictionary.assumed(0x1029, 1)
     for entry in dictionary:
         if entry.index == 0x1029 and entry.subindex:
