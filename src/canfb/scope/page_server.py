@@ -17,7 +17,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from importlib.resources import files
 from socketserver import ThreadingTCPServer
-from typing import Any
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 from canfb.errors import CanfbError, saying
@@ -65,28 +65,31 @@ def event(name: str, data: str) -> Event:
     return f"event: {name}\ndata: {data}\n\n".encode()
 
 
-class PageServer:
+class PageServer(ThreadingTCPServer):  # that of http.server would look up a host name
     """Serves at ``port`` of 127.0.0.1 (0: any free one); CanfbError for one that is taken.
 
     A page gets the event ``first()``, then those of :meth:`publish`.
     """
+
+    daemon_threads = True  # and so the end waits for none of them
 
     def __init__(self, port: int, first: Callable[[], Event]) -> None:
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
         self._first = first
         self._viewers: list[Events] = []
         self._lock = threading.Lock()
+        self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
         with saying(CanfbError, f"cannot listen at {LOOPBACK}:{port}", OSError, OverflowError):
-            self._server = _Server((LOOPBACK, port), self)
-        bound = self._server.server_address[1]
+            super().__init__((LOOPBACK, port), _Handler)
+        bound = self.server_address[1]
         self.host = LOOPBACK if bound == HTTP_PORT else f"{LOOPBACK}:{bound}"
         self.address = f"http://{self.host}/#{self.token}"
         self.files = {
             path: files("canfb.scope").joinpath(name).read_bytes() for path, (name, _) in FILES.items()
         }
 
-    def __enter__(self) -> PageServer:
-        self._thread = threading.Thread(target=self._server.serve_forever, name="canfb page")
+    def __enter__(self) -> Self:
+        self._thread = threading.Thread(target=self.serve_forever, name="canfb page")
         self._thread.start()
         return self
 
@@ -94,9 +97,9 @@ class PageServer:
         with self._lock:
             for viewer in self._viewers:
                 _end(viewer)
-        self._server.shutdown()
+        self.shutdown()
         self._thread.join()
-        self._server.server_close()
+        self.server_close()
 
     def is_seen(self) -> bool:
         return bool(self._viewers)
@@ -133,22 +136,6 @@ class PageServer:
         )
         return next((why for holds, why in refusals if holds), "")
 
-
-def _end(viewer: Events) -> None:
-    with contextlib.suppress(queue.Empty):
-        while True:
-            viewer.get_nowait()
-    viewer.put_nowait(None)
-
-
-class _Server(ThreadingTCPServer):  # that of http.server would look up a host name
-    daemon_threads = True  # and so the end waits for none of them
-
-    def __init__(self, address: tuple[str, int], page: PageServer) -> None:
-        self.page = page
-        self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
-        super().__init__(address, _Handler)
-
     def process_request(self, request: Any, client_address: Any) -> None:
         if self._places.acquire(blocking=False):
             super().process_request(request, client_address)
@@ -165,13 +152,20 @@ class _Server(ThreadingTCPServer):  # that of http.server would look up a host n
         """A peer that has gone is no error."""
 
 
+def _end(viewer: Events) -> None:
+    with contextlib.suppress(queue.Empty):
+        while True:
+            viewer.get_nowait()
+    viewer.put_nowait(None)
+
+
 class _Handler(BaseHTTPRequestHandler):
-    server: _Server
+    server: PageServer
     timeout = IDLE_S
     server_version, sys_version = "canfb", ""
 
     def do_GET(self) -> None:
-        page, parts = self.server.page, urlsplit(self.path)
+        page, parts = self.server, urlsplit(self.path)
         hosts, origin = self.headers.get_all("Host") or [], self.headers.get("Origin")
         if refusal := page.refusal(hosts, origin, parts.path, parts.query):
             self._answer(HTTPStatus.FORBIDDEN, "text/plain", refusal.encode())
