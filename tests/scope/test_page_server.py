@@ -230,9 +230,9 @@ def test_the_deviation_is_that_of_the_encoder_and_nearly_gone_with_its_table() -
     traced = Traced()
     traced.run(4.0)
     traces, now = traced.traces, traced.network.bus.now
-    before = traces.deviation(now)
+    before = traces.deviation(now, 2048)
     assert before is not None
-    assert traces.deviation(now + 0.9 * EVERY_S) is None
+    assert traces.deviation(now + 0.9 * EVERY_S, 2048) is None
     rms = np.sqrt(np.mean(np.square(before["before"])))
     assert 0.5 < rms < 3.0  # % of a cycle: the encoder of the demo has 1.2
     assert set(before["mean"]) == {None}
@@ -241,7 +241,7 @@ def test_the_deviation_is_that_of_the_encoder_and_nearly_gone_with_its_table() -
     found = canfb.calibrate_from_motion(sine, cosine)
     traces.read = Correction(found.table, found.conditioning)
     traces.take(now, replace(traced.network.module(), table_active=True, table_crc32=found.table.crc32))
-    after = traces.deviation(now)
+    after = traces.deviation(now, 2048)
     assert after is not None, "at once"
     assert np.abs(after["mean"]).max() < 0.2 * np.abs(after["before"]).max()
     assert f"with the active table {found.table.crc32:08X}h 0.0" in after["text"]
@@ -279,7 +279,7 @@ def test_there_is_no_deviation_of_few_samples_nor_at_standstill() -> None:
             heard = 100 * (10 * n + k + 1)
             tracks = [(1000 + j % 3, 1000 - j % 2) for j in range(100)]
             traces.take(10.0 * n, replace(module, tracks_counts=tracks, tracks_heard=heard))
-        curve = traces.deviation(10.0 * n)
+        curve = traces.deviation(10.0 * n, module.full_scale_counts)
         assert curve is not None
         assert why in curve["text"]
 

@@ -248,7 +248,7 @@ class LivePage:
 
     def _module(self, now: float, node: NodeSnapshot, module: ModuleSnapshot) -> dict[str, Any]:
         traces = self._of(node.node_id)
-        if (curve := traces.deviation(now)) is not None:
+        if (curve := traces.deviation(now, module.full_scale_counts)) is not None:
             self._curves[node.node_id] = curve
         names = dict.fromkeys((*module.counters, *module.seen))
         return {

@@ -49,7 +49,6 @@ class ModuleTraces:
         self.correction: Correction | None = None  # The active one; None while it is not known.
         self.read: Correction | None = None  # The one that was read last.
         self._units = units
-        self._module: ModuleSnapshot | None = None
         self._samples: deque[tuple[int, int, int]] = deque(maxlen=SAMPLES)
         self._received = self._place = self._faults = 0
         self._due_s = -math.inf
@@ -58,7 +57,6 @@ class ModuleTraces:
         if self.points and now < (self.points[-1][0] or 0.0):
             self.points.clear()
             self._due_s = -math.inf
-        self._module = module
         self.points.append(self._point(now, module))
         while now - (self.points[0][0] or 0.0) > LONGEST_S:
             self.points.popleft()
@@ -105,16 +103,15 @@ class ModuleTraces:
             self._place += 1
             self._samples.append((self._place, sine, cosine))
 
-    def deviation(self, now: float) -> Curve | None:
+    def deviation(self, now: float, full_scale_counts: int) -> Curve | None:
         """None while the last is not EVERY_S old."""
-        if self._module is None or now < self._due_s:
+        if now < self._due_s:
             return None
         self._due_s = now + EVERY_S
         if len(self._samples) < LEAST_SAMPLES:
             return _curve(f"nothing to see: {len(self._samples)} of {LEAST_SAMPLES} samples")
         place, sine, cosine = np.array(self._samples, np.float64).T
-        full_scale = self._module.full_scale_counts
-        bits = full_scale.bit_length() if full_scale.bit_count() == 1 else None
+        bits = full_scale_counts.bit_length() if full_scale_counts.bit_count() == 1 else None
         try:
             taken = recording(sine, cosine, place, None, bits, may_be_offset=True)
             found = best_deviation(taken, self.correction or NO_CORRECTION, NO_CORRECTION, BLOCK_SAMPLES)
