@@ -141,9 +141,9 @@ def _live_page(options: argparse.Namespace) -> LivePage:
 
 
 def _reading(
-    bus: SharedBus, layouts: Sequence[NodeLayout], watching: Watching, page: LivePage | None = None
+    bus: SharedBus, layouts: Sequence[NodeLayout], watching: Watching, page: LivePage | None
 ) -> contextlib.AbstractContextManager[None]:
-    from canfb.monitoring.sdo_reading import ModuleReader, SdoThread  # here: canopen is for --sdo alone
+    from canfb.monitoring.sdo_reading import ModuleReader, reading_beside  # here: canopen is for --sdo alone
 
     def take(reading: ModuleReading) -> None:
         watching.put(reading)
@@ -152,7 +152,7 @@ def _reading(
 
     readers = [ModuleReader(layout.node_id, with_table=page is not None) for layout in layouts]
     wanted = page.server.is_seen if page is not None else lambda: True
-    return SdoThread(bus, readers, lambda: watching.latest, take, wanted).running(watching.stop)
+    return reading_beside(bus, readers, lambda: watching.latest, take, wanted, watching.stop)
 
 
 @contextlib.contextmanager

@@ -87,40 +87,36 @@ def _changes(node: NodeSnapshot | None) -> tuple[int, bool] | None:
 Take = Callable[[ModuleReading], None]
 
 
-class SdoThread:
-    """Runs ``readers`` on a branch of ``bus``, while ``wanted``.
+def reading_beside(
+    bus: SharedBus,
+    readers: Sequence[ModuleReader],
+    latest: Callable[[], BusSnapshot | None],
+    take: Take,
+    wanted: Callable[[], bool],
+    failed: Callable[[], None],
+) -> contextlib.AbstractContextManager[None]:
+    """While this is entered, a thread runs ``readers`` on a branch of ``bus``, while ``wanted``.
 
-    ``latest`` gives what the bus shows, ``take`` gets each reading, in this thread.
+    ``latest`` gives what the bus shows, ``take`` gets each reading, in this thread. ``failed``: after an
+    error.
     """
+    stopped = threading.Event()
 
-    def __init__(
-        self,
-        bus: SharedBus,
-        readers: Sequence[ModuleReader],
-        latest: Callable[[], BusSnapshot | None],
-        take: Take,
-        wanted: Callable[[], bool] = lambda: True,
-    ) -> None:
-        self._bus, self._readers, self._latest, self._take, self._wanted = bus, readers, latest, take, wanted
-        self._stopped = threading.Event()
+    def run() -> None:
+        while not stopped.wait(LOOK_S):
+            if wanted():
+                look(time.monotonic())
 
-    def running(self, failed: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
-        """It reads while this is entered; ``failed``: called if an error ends it."""
-        return beside(self._run, self._stopped.set, failed)
-
-    def _run(self) -> None:
-        while not self._stopped.wait(LOOK_S):
-            if self._wanted():
-                self.look(time.monotonic())
-
-    def look(self, now: float) -> None:
-        snapshot = self._latest()
+    def look(now: float) -> None:
+        snapshot = latest()
         nodes = {} if snapshot is None else {node.node_id: node for node in snapshot.nodes}
-        due = [reader for reader in self._readers if reader.due(now, nodes.get(reader.node_id))]
+        due = [reader for reader in readers if reader.due(now, nodes.get(reader.node_id))]
         if not due:
             return
-        with BusMaster(self._bus.branch(), ANSWER_S) as master:
+        with BusMaster(bus.branch(), ANSWER_S) as master:
             for reader in due:
                 module = NodeAccess(master, reader.node_id, "module")
                 with contextlib.suppress(CanfbError):
-                    self._take(reader.read(module, now, nodes.get(reader.node_id)))
+                    take(reader.read(module, now, nodes.get(reader.node_id)))
+
+    return beside(run, stopped.set, failed)
