@@ -181,10 +181,9 @@ class BusModel:
         self._route()
 
     def _node(self, node_id: int) -> NodeModel:
-        node = self._nodes.get(node_id)
-        if node is None:
-            node = self._nodes[node_id] = NodeModel(node_id)
-        return node
+        if node_id not in self._nodes:
+            self._nodes[node_id] = NodeModel(node_id)
+        return self._nodes[node_id]
 
     def _route(self) -> None:
         self._routes, self._sync_ids = {}, set()
