@@ -6,8 +6,7 @@ of words of the EDS; those of the encoder interface begin with INTERFACE.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from enum import IntEnum, IntFlag, StrEnum
 from typing import Final, NamedTuple
 
@@ -88,16 +87,6 @@ def sample_pdos(
     return mapped | {
         (parameters + index - mapping, 1): TPDOS[index - mapping] + node_id for index, _ in mapped
     }
-
-
-def samples_per_sync(mapped: Sequence[Collection[int]]) -> int:
-    """Pairs of sine and cosine for each SYNC, 1..8, by what each RPDO maps.
-
-    They count up to the first that no RPDO brings, as the module counts them.
-    """
-    pairs = [{one.mapped(16) for one in pair} for pair in SAMPLE_EARLIER]
-    found = itertools.takewhile(lambda pair: any(pair.issubset(one) for one in mapped), pairs)
-    return 1 + sum(1 for _ in found)
 
 
 # 6401h and 2000h of the encoder interface: the same, as its TPDOs send it.

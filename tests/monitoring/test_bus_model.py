@@ -24,7 +24,7 @@ from canfb.monitoring.layout import NEEDED, Origin, assumed_layout, known_layout
 from canfb.monitoring.lines import residual_words, sync_words
 from canfb.monitoring.module_model import Bins, SyncMeter
 from canfb.monitoring.snapshot import ModuleSnapshot, NodeSnapshot
-from canfb.view.module_view import values_of
+from canfb.view.module_view import samples_per_sync, values_of
 from drawing import examples
 from folding import each
 from monitored_network import BIT_RATE, INTERFACE, NODE, MonitoredNetwork
@@ -300,9 +300,9 @@ def test_pairs_are_counted_to_the_first_that_is_not_mapped() -> None:
     for there in itertools.product([False, True], repeat=7):
         mapped = [pair for pair, is_there in zip(pairs, there, strict=True) if is_there]
         first_gap = there.index(False) if False in there else 7
-        assert od.samples_per_sync(mapped) == 1 + first_gap
+        assert samples_per_sync(mapped) == 1 + first_gap
     split = [[pairs[0][0]], [pairs[0][1]]]
-    assert od.samples_per_sync(split) == 1, "both tracks in one RPDO"
+    assert samples_per_sync(split) == 1, "both tracks in one RPDO"
 
 
 def test_the_load_is_that_of_the_frames_that_were_there() -> None:

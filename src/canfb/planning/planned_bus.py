@@ -19,14 +19,7 @@ from canfb.device.od.dcf import Place
 from canfb.device.pdo.mapping import EVENT_DRIVEN, SYNCHRONOUS
 from canfb.module.cia406.alarms import SHORTEST_S
 from canfb.simulation.embedded_bus import LONGEST_FRAME_BITS
-from canfb.view.module_view import (
-    MODULE_EARLIER,
-    MODULE_TRACKS,
-    LimitSettings,
-    Pdo,
-    limit_settings,
-    valid_pdos,
-)
+from canfb.view.module_view import MODULE_PAIRS, LimitSettings, Pdo, limit_settings, valid_pdos
 
 Values = Mapping[Place, Any]  # Objects of a node by index and sub-index.
 
@@ -244,14 +237,14 @@ def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
     are too few.
     """
     pdos = _of_samples(values)
-    tracks = next((pdo for pdo in pdos if set(MODULE_TRACKS) <= set(pdo.entries)), None)
+    tracks = next((pdo for pdo in pdos if set(MODULE_PAIRS[0]) <= set(pdo.entries)), None)
     if tracks is None:
         raise ValueError("samples_per_sync needs an RPDO that brings 2000:01 and 2000:02")
     interface = tracks.can_id & cob.NODE_ID
     own = [pdo for pdo in pdos if pdo.can_id & cob.NODE_ID == interface]
-    entries = [entry for pair in (MODULE_TRACKS, *MODULE_EARLIER)[:pairs] for entry in pair]
+    entries = [entry for pair in MODULE_PAIRS[:pairs] for entry in pair]
     entries += [TIME] if times else []
-    known = {TIME}.union(MODULE_TRACKS, *MODULE_EARLIER)
+    known = {TIME}.union(*MODULE_PAIRS)
     entries += [entry for pdo in own for entry in pdo.entries if entry not in known]
     mapped = mapping_values(0, entries)  # by the place of the PDO among ``numbers``
     in_use = {pdo.number for pdo in valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -90,11 +90,15 @@ def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
 
 
 Pair = tuple[int, int]  # mapping entries of a sine and its cosine
-INTERFACE_TRACKS = (od.INTERFACE_SINE.mapped(16), od.INTERFACE_COSINE.mapped(16))
-MODULE_TRACKS = (od.SAMPLE_SINE.mapped(16), od.SAMPLE_COSINE.mapped(16))
-MODULE_COARSE_TRACKS = (od.SAMPLE_COARSE_SINE.mapped(16), od.SAMPLE_COARSE_COSINE.mapped(16))
-INTERFACE_EARLIER = tuple((sine.mapped(16), cosine.mapped(16)) for sine, cosine in od.INTERFACE_EARLIER)
-MODULE_EARLIER = tuple((sine.mapped(16), cosine.mapped(16)) for sine, cosine in od.SAMPLE_EARLIER)
+# Those of a sample, and of the earlier ones in the same interval, newest first.
+INTERFACE_PAIRS = tuple(
+    (sine.mapped(16), cosine.mapped(16))
+    for sine, cosine in ((od.INTERFACE_SINE, od.INTERFACE_COSINE), *od.INTERFACE_EARLIER)
+)
+MODULE_PAIRS = tuple(
+    (sine.mapped(16), cosine.mapped(16))
+    for sine, cosine in ((od.SAMPLE_SINE, od.SAMPLE_COSINE), *od.SAMPLE_EARLIER)
+)
 SAMPLE_TIMES = (od.INTERFACE_SAMPLE_TIME.mapped(32), od.SAMPLE_TIME.mapped(32))
 
 
@@ -138,25 +142,28 @@ class PdoLayout:
 
 def module_layout(read: Read) -> PdoLayout | None:
     """Where a module takes its samples from, or None."""
-    return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_TRACKS, MODULE_EARLIER)
+    return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_PAIRS)
 
 
 def coarse_layout(read: Read) -> PdoLayout | None:
-    return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_COARSE_TRACKS, ())
+    return _layout(
+        read,
+        od.RPDO,
+        od.RPDO_MAPPING,
+        [(od.SAMPLE_COARSE_SINE.mapped(16), od.SAMPLE_COARSE_COSINE.mapped(16))],
+    )
 
 
 def interface_layout(read: Read) -> PdoLayout | None:
     """Where an encoder interface sends both tracks, or None."""
-    return _layout(read, od.TPDO, od.TPDO_MAPPING, INTERFACE_TRACKS, INTERFACE_EARLIER)
+    return _layout(read, od.TPDO, od.TPDO_MAPPING, INTERFACE_PAIRS)
 
 
 def mapped_objects(read: Read) -> set[int]:
     return {entry for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING) for entry in pdo.entries}
 
 
-def _layout(
-    read: Read, parameters: int, mapping: int, tracks: Pair, earlier: Sequence[Pair]
-) -> PdoLayout | None:
+def _layout(read: Read, parameters: int, mapping: int, pairs: Sequence[Pair]) -> PdoLayout | None:
     pdos = [
         (pdo.can_id, {entry: bit // 8 for entry, bit in reversed([*pdo.bits_of()]) if bit % 8 == 0})
         for pdo in valid_pdos(read, parameters, mapping)
@@ -166,7 +173,7 @@ def _layout(
         both = ((can_id, at) for can_id, at in pdos if at.keys() >= set(pair))
         return next((PdoLayout(can_id, at[pair[0]], at[pair[1]]) for can_id, at in both), None)
 
-    found = carrier(tracks)
+    found, earlier = carrier(pairs[0]), pairs[1:]
     if found is None:
         return None
     times = {can_id: at[one] for can_id, at in reversed(pdos) for one in SAMPLE_TIMES if one in at}
@@ -276,6 +283,15 @@ class LimitSettings:
         )
 
 
+def samples_per_sync(mapped: Sequence[Collection[int]]) -> int:
+    """Pairs of sine and cosine for each SYNC, 1..8, by what each RPDO maps.
+
+    They count up to the first that no RPDO brings, as the module counts them.
+    """
+    found = itertools.takewhile(lambda pair: any(set(pair).issubset(one) for one in mapped), MODULE_PAIRS[1:])
+    return 1 + sum(1 for _ in found)
+
+
 def limit_settings(read: Read) -> LimitSettings:
     mapped = [pdo.entries for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING)]
     coast = read(od.SUPERVISION_COAST)
@@ -297,7 +313,7 @@ def limit_settings(read: Read) -> LimitSettings:
         phase_error_cycles=_in_units(read(od.SUPERVISION_PHASE_ERROR), PHASE_ERROR_CYCLES),
         sync_jitter_s=float(read(od.SUPERVISION_SYNC_JITTER) or 0.0),
         cycle_period_s=int(read(od.CYCLE_PERIOD) or 0) * 1e-6,
-        samples_per_sync=od.samples_per_sync(mapped),
+        samples_per_sync=samples_per_sync(mapped),
         timed=any(od.SAMPLE_TIME.mapped(32) in one for one in mapped),
         corners=Corners(
             float(read(od.ENCODER_CORNER_FREQUENCY) or 0.0),
