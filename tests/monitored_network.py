@@ -11,10 +11,9 @@ import can
 import canfb
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
-from canfb.device.node import Device
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.layout import assumed_layout, known_layouts
+from canfb.monitoring.layout import known_layouts
 from canfb.monitoring.snapshot import ModuleSnapshot
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer
@@ -56,16 +55,11 @@ class MonitoredNetwork:
         shaft = ShaftEncoder(demo_encoder(), 2500, 1, 0.0)
         self.source = Spoiled(shaft, Motion((Ramp(0.2, 0.0), Ramp(0.5, RPM)), ()), PERIOD_S)
         self.interface = EncoderInterface(INTERFACE, self.source, autostart=True)
-        self.model = BusModel(
-            known_layouts(Config(modules=configs), known) if known else [],
-            assumed_layout,
-            BIT_RATE,
-            only_known=only_known,
-        )
+        layouts = known_layouts(Config(modules=configs), known) if known else []
+        self.model = BusModel(layouts, BIT_RATE, only_known=only_known)
         self.frames: list[tuple[Frame, float]] = []
         self.bus.observers.append(self._hear)
-        devices: list[Device] = [*self.modules, self.interface]
-        for device in devices:
+        for device in (*self.modules, self.interface):
             self.bus.attach(device)
         self.bus.attach(SyncProducer(PERIOD_S, SimulationConfig(sync_jitter_us=jitter_us), 1))
 

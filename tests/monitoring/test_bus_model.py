@@ -118,7 +118,7 @@ def test_nmt_states_are_followed(turning: MonitoredNetwork) -> None:
 
 
 def test_an_adc_pdo_of_eight_bytes_is_no_position() -> None:
-    model = BusModel(assume=assumed_layout)
+    model = BusModel()
     for k in range(1000):
         angle = 0.7 * k
         data = struct.pack("<hhI", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)), k * 9973)
@@ -205,7 +205,7 @@ FRAMES = st.lists(
 @examples(150)
 @given(FRAMES)
 def test_no_frame_raises(frames: list[tuple[int, bytes, bool, float]]) -> None:
-    model = BusModel(known_layouts(Config(), [NODE]), assumed_layout, 500_000)
+    model = BusModel(known_layouts(Config(), [NODE]), 500_000)
     now = 0.0
     for can_id, data, rtr, step in frames:
         now += step
@@ -216,7 +216,7 @@ def test_no_frame_raises(frames: list[tuple[int, bytes, bool, float]]) -> None:
 
 def test_memory_stays_bounded() -> None:
     """Every CAN-ID, and then those of eight modules for hours."""
-    model = BusModel(known_layouts(Config(), [NODE]), assumed_layout, 500_000)
+    model = BusModel(known_layouts(Config(), [NODE]), 500_000)
     for k in range(2 * 0x800):
         model.receive(Frame(k % 0x800, bytes(8)), k * 1e-3)
     ids = (0x080, 0x190, 0x0A0, 0x720, *range(0x1A0, 0x1A8))

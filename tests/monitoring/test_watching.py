@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import can
 import pytest
@@ -45,10 +45,9 @@ class Monitor:
         self.watching = Watching(model, self.shown.append, 5.0, reader)
 
     def opened(self, *plan: tuple[float, can.Message | Exception]) -> FakeBus:
-        bus: Any = FakeBus(self.clock, plan)
-        self.watching.opened(bus)
-        fake: FakeBus = bus
-        return fake
+        bus = FakeBus(self.clock, plan)
+        self.watching.opened(cast(Any, bus))
+        return bus
 
 
 def test_snapshots_come_at_their_rate_and_nothing_is_sent() -> None:

@@ -33,7 +33,7 @@ from canfb.cli.printing import say
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.layout import ModuleReading, NodeLayout, assumed_layout, known_layouts
+from canfb.monitoring.layout import ModuleReading, NodeLayout, known_layouts
 from canfb.monitoring.lines import MachineUnits, plain_lines
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.monitoring.watching import MessageReader, Show, Watching
@@ -110,7 +110,7 @@ def monitor(options: argparse.Namespace) -> int:
     layouts = known_layouts(config, options.nodes)
     if options.sdo and not layouts:
         raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
-    model = BusModel(layouts, assumed_layout, words.get("bitrate"), only_known=bool(options.nodes))
+    model = BusModel(layouts, words.get("bitrate"), only_known=bool(options.nodes))
     page = _live_page(options) if options.web else None
     with contextlib.ExitStack() as held:
         show, rate_hz = held.enter_context(output(options, page))

@@ -14,7 +14,7 @@ from canfb.bus.frame_bus import ERROR
 from canfb.cia301 import cob
 from canfb.cia301.codes import EMERGENCY, EmergencyCode, NmtCommand, NmtState, emergency_text
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame, frame_bits
-from canfb.monitoring.layout import NodeLayout, Recognition
+from canfb.monitoring.layout import NodeLayout, Recognition, assumed_layout
 from canfb.monitoring.module_model import LoadMeter, ModuleModel, SyncMeter
 from canfb.monitoring.snapshot import BusSnapshot, EmergencySnapshot, NodeSnapshot
 from canfb.view.module_view import Pdo
@@ -98,19 +98,17 @@ Take = Callable[[bytes, float], None]
 class BusModel:
     """Takes each frame of a bus; none raises.
 
-    ``layouts``: of known modules; ``assume``: of what looks like one. ``bit_rate`` in bit/s. ``only_known``:
-    hides other nodes.
+    ``layouts``: of known modules. ``bit_rate`` in bit/s. ``only_known``: recognises and shows no others.
     """
 
     def __init__(
         self,
         layouts: Iterable[NodeLayout] = (),
-        assume: Callable[[int], NodeLayout] | None = None,
         bit_rate: int | None = None,
         *,
         only_known: bool = False,
     ) -> None:
-        self._assume, self._recognition = None if only_known else assume, Recognition()
+        self._recognition = Recognition()
         self._only_known = only_known
         self._bit_rate = bit_rate
         self._nodes: dict[int, NodeModel] = {}
@@ -216,10 +214,10 @@ class BusModel:
             node.emergency(data, now)
         elif function in cob.TPDOS:
             node.sends_pdos(now)
-            if self._assume is not None and node.module is None and can_id not in self._routes:
+            if not self._only_known and node.module is None and can_id not in self._routes:
                 found = self._recognition.found(can_id, data)
                 if found is not None:
-                    self.learn(self._assume(found))
+                    self.learn(assumed_layout(found))
 
 
 def _sent(node: NodeModel, module: ModuleModel, pdo: Pdo, data: bytes, now: float) -> None:
