@@ -18,6 +18,7 @@ from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser
 from canfb.diagnosis.lost import MOTION, Loss, LostPosition, read_lost_position
+from canfb.errors import BusError
 from canfb.hosting import self_diagnosis
 from canfb.objects import LossCause, StatusBit
 from canfb.rows import age_words
@@ -280,16 +281,22 @@ def test_all_objects_of_the_configured_nodes_are_in_the_file(
 def test_named_nodes_are_read_one_that_is_silent_is_told_and_frames_are_heard(
     canfb: Commands, tmp_path: Path
 ) -> None:
-    path = tmp_path / "canfb-diagnose-of-a-machine.json"
+    def fail(frame: Frame) -> None:
+        if place_of(frame) == (0x2012, 1):
+            raise BusError("the bus fails")
+
+    path, bench = tmp_path / "canfb-diagnose-of-a-machine.json", Bench()
+    between(bench, fail)
     bus = "--seconds=0.2", "-i", "virtual", "-c", "x"
-    out, err = canfb(Bench(), "why", "--bundle", 5, MODULE_ID, "--out", path, *bus, code=1)
+    out, err = canfb(bench, "why", "--bundle", 5, MODULE_ID, "--out", path, *bus, code=1)
     assert ".json is incomplete: node 5 (05h): " in err
     assert "node 5 (05h): 0 objects\n" in out
     found = written(tmp_path)
     silent, module = found["nodes"]
     assert (silent["node_id"], module["node_id"]) == (5, MODULE_ID)
     assert "no answer" in silent["error"]
-    assert module["objects"]
+    assert module["objects"]["2010:03"] == 3
+    assert module["error"] == "the bus fails", "what was read before stays"
     assert found["bus"]["seconds"] == 0.2
     assert found["bus"]["frames"]["080"] > 10
     assert stat.S_ISREG(path.stat().st_mode)

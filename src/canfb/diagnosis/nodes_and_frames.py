@@ -115,16 +115,13 @@ def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
 def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> dict[str, Any]:
     """The readable objects of a node whose EDS is ``known``, by number; else why not."""
     node = NodeAccess(master, node_id, "node")
+    objects: dict[str, Any] = {}
     facts: dict[str, Any] = {"node_id": node_id}
     try:
         described = described_by(node, known, "1000")
-    except CanfbError as error:
-        return facts | {"error": str(error)}
-    objects: dict[str, Any] = {}
-    facts |= {"product": described.product, "objects": objects}
-    try:
+        facts |= {"product": described.product, "objects": objects}
         _read_all(node, described, objects)
-    except CommissioningError as error:  # it does not answer any more
+    except CanfbError as error:  # none of ours, or node or bus do not answer any more
         facts["error"] = str(error)
     return facts
 
