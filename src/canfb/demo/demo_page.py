@@ -201,7 +201,7 @@ def residual(story: Story) -> Plot:
     number = story.residual_number.astype(np.float64)
     plot.line(number, story.residual, "after thin", "residual (eq. 12)")
     plot.dots(number, story.residual, "after large")
-    return plot.level(RESIDUAL_LIMIT, "limit dashed", "limit 1/3")
+    return plot.level(RESIDUAL_LIMIT, "limit 1/3")
 
 
 def servo(story: Story) -> Plot:
@@ -218,7 +218,7 @@ def servo(story: Story) -> Plot:
     plot.line(*_shown(eq_9), "before thin", eq_9.name)
     plot.line(*_shown(ours), "after thin", ours.name)
     plot.dots(*_shown(ours), "after")
-    return plot.level(ours.limit_cycles, "limit dashed", f"limit {ours.limit_cycles:.2f}")
+    return plot.level(ours.limit_cycles, f"limit {ours.limit_cycles:.2f}")
 
 
 def _shown(run: ServoRun) -> tuple[FloatArray, FloatArray]:

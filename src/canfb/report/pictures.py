@@ -31,8 +31,8 @@ def remaining_error(after: FloatArray, uncertainty: float) -> str:
     most = PERCENT * nice_limit(after, 1.3 * uncertainty)
     plot = Plot("Remaining mean error over the phase", CYCLE, (-most, most), ERROR_LABELS)
     plot.line(PHASES, PERCENT * after, "after", "after, mean of each 1/64 cycle")
-    plot.level(PERCENT * uncertainty, "limit dashed", "uncertainty of the table")
-    return plot.level(-PERCENT * uncertainty, "limit dashed").svg()
+    plot.level(PERCENT * uncertainty, "uncertainty of the table")
+    return plot.level(-PERCENT * uncertainty).svg()
 
 
 def rms_over_speed(speed: FloatArray, before: FloatArray, after: FloatArray, unit: str) -> str:
@@ -84,7 +84,7 @@ def harmonics(before: FloatArray, after: FloatArray, noise_rms: float, samples: 
     title = "Harmonics of the error, before and after"
     plot = Plot(title, (0.3, HIGHEST_ORDER + 0.7), extent, labels, log_y=True)
     plot.bars(place - 0.2, old, 0.36, "before", "before").bars(place + 0.2, new, 0.36, "after", "after")
-    return plot.level(floor, "limit dashed", "level of noise alone").svg()
+    return plot.level(floor, "level of noise alone").svg()
 
 
 def _amplitudes(curve: FloatArray) -> FloatArray:
@@ -148,7 +148,7 @@ def coverage(samples: IntArray) -> str:
     extent = 0.0, 1.15 * max(float(count.max()), 1.0)
     plot = Plot("Samples over the phase", CYCLE, extent, ("phase, cycles", "samples in 1/64 cycle"))
     plot.bars(PHASES, count, 0.9 / BINS, "after", "used")
-    return plot.level(float(count.sum()) / BINS, "limit dashed", "even coverage").svg()
+    return plot.level(float(count.sum()) / BINS, "even coverage").svg()
 
 
 def table_curve(table: CorrectionTable, before: CorrectionTable | None) -> str:
@@ -173,8 +173,8 @@ def amplitude_over_phase(over_phase: FloatArray, low: float, high: float) -> str
     plot = Plot("Amplitude over the phase, with its limits", CYCLE, extent, labels)
     lowest, mean, highest = over_phase
     plot.line(PHASES, lowest, "after thin", "lowest and highest").line(PHASES, highest, "after thin")
-    plot.line(PHASES, mean, "after", "mean").level(low, "limit dashed", "amplitude limits proposed")
-    return plot.level(high, "limit dashed").svg()
+    plot.line(PHASES, mean, "after", "mean").level(low, "amplitude limits proposed")
+    return plot.level(high).svg()
 
 
 SHOWN_SAMPLES = 4000
@@ -258,7 +258,7 @@ def acceleration_over_time(acceleration: FloatArray, interval_s: float, largest:
     plot = Plot("Acceleration over time, with its limit", extent, (-most, most), labels)
     plot.line(np.repeat(time_s, 2), ends.reshape(-1), "after thin", "machine")
     if largest:
-        plot.level(largest, "limit dashed", "largest acceleration proposed").level(-largest, "limit dashed")
+        plot.level(largest, "largest acceleration proposed").level(-largest)
     return plot.svg()
 
 

@@ -80,9 +80,9 @@ class Plot:
                 parts.append(f"M{left:.1f} {bottom:.1f}V{top:.1f}H{right:.1f}V{bottom:.1f}Z")
         return self._draw(f'<path class="bar {style}" d="{"".join(parts)}"/>', style, name, "bar")
 
-    def level(self, value: float, style: str, name: str | None = None) -> Self:
+    def level(self, value: float, name: str | None = None) -> Self:
         if self.y.low <= value <= self.y.high:
-            self.line(np.array([self.x.low, self.x.high]), np.array([value, value]), style, name)
+            self.line(np.array([self.x.low, self.x.high]), np.full(2, value), "limit dashed", name)
         return self
 
     def rings(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> Self:
