@@ -231,11 +231,14 @@ def test_a_node_of_another_maker(canfb: Commands, bench: Bench, tmp_path: Path) 
         "[2010]\nParameterName=Something\nObjectType=0x9\nSubNumber=2\n"
         "[2010sub3]\nParameterName=Gain\nDataType=0x0006\nAccessType=rw\nUnit=apples\n"
         "[2020]\nParameterName=Blob\nObjectType=0x2\nDefaultValue=none\n"
+        "[1010]\nParameterName=Store\n[1010sub1]\nParameterName=All\nDataType=0x0005\nAccessType=rw\n"
     )
     out = canfb(bench, "sdo", "read", NODE, "gain", "--eds", eds)[0]
     assert out == "2010:03 Something: Gain: 03 (1 bytes, the EDS has UNSIGNED16)\n"
     _, err = canfb(bench, "sdo", "write", NODE, "gain", "3", "--eds", eds, code=1)
     assert "the type in the EDS is not that of the node: give its own with --eds" in err
+    _, err = canfb(bench, "sdo", "write", NODE, "1010:01", "save", "--eds", eds, code=2)
+    assert err.startswith("canfb: 1010:01 Store: All 1702257011 is not a UNSIGNED8")
 
 
 @pytest.mark.parametrize("unused", [b"", b"\0", b"\x12\x34"])

@@ -372,6 +372,7 @@ class SdoTasks:
             if value is None:
                 number = text if raw else raw_text(entry.unit, text)
                 value = parse_value(entry.data_type, number, entry.least, entry.most)
+            return datatypes.encode(entry.data_type, value)
         except (ValueError, OverflowError) as error:
             reason = str(error)
             if words:
@@ -380,7 +381,6 @@ class SdoTasks:
                 low, high = (end / part[0] for end in value_range(entry.data_type, entry.least, entry.most))
                 reason = f"must be {low:.6g}..{high:.6g} {part[1]}, not {text!r} ({entry.unit} with --raw)"
             raise ConfigError(f"{entry.number} {entry.title} {reason}") from None
-        return value if isinstance(value, bytes) else datatypes.encode(entry.data_type, value)
 
     def _read(self, entry: ObjectDescription) -> Reading:
         fetch = self._node.upload_domain if entry.data_type == DataType.DOMAIN else self._node.read_bytes
