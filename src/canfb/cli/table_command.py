@@ -77,7 +77,7 @@ def show(options: argparse.Namespace) -> int:
         if not Path(options.what).exists():
             raise ConfigError(f"{options.what}: neither a node-ID (1 to 127) nor a file") from None
         file = read_table(Path(options.what))
-        state = TableState(options.what, file.used, file.cycles_per_revolution, in_file=True)
+        state = TableState(options.what, file.used, file.cycles_per_revolution)
     else:
         with node_options.master_of(options) as master:
             state = TableState.of_module(NodeAccess(master, node, "module"))

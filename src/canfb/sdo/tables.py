@@ -197,7 +197,7 @@ WIDTH = 17
 class TableState:
     """A table with its conditioning, in a module or a file.
 
-    staged_crc32   2020:02, 0: nothing is staged
+    staged_crc32   2020:02, 0: nothing is staged; None: a file
     saved_crc32    2020:06, 0: the identity; None: not known
     waiting        2002h and 2005h, not yet in force
     """
@@ -205,8 +205,7 @@ class TableState:
     name: str
     used: Correction
     cycles_per_revolution: int | None
-    in_file: bool = False
-    staged_crc32: int = 0
+    staged_crc32: int | None = None
     saved_crc32: int | None = None
     waiting: Conditioning | None = None
 
@@ -218,15 +217,15 @@ class TableState:
         written = read_conditioning(module)
         waiting = None if written == used.conditioning else written
         saved_crc32 = module.integer_if_there(od.TABLE_SAVED_CRC, "I")
-        return cls(module.name, used, cycles, False, staged, saved_crc32, waiting)
+        return cls(module.name, used, cycles, staged, saved_crc32, waiting)
 
     @property
     def saved(self) -> bool | None:
         """Whether a reset brings this table back; None: not known."""
-        return None if self.in_file or self.saved_crc32 is None else self.saved_crc32 == self.used.crc32
+        return None if self.saved_crc32 is None else self.saved_crc32 == self.used.crc32
 
     def rows(self) -> list[Row]:
-        used, waiting, in_module = self.used, self.waiting, not self.in_file
+        used, waiting, in_module = self.used, self.waiting, self.staged_crc32 is not None
         rms, high = difference(used.table, None)
         return [
             Row(name=self.name, cycles_per_revolution=self.cycles_per_revolution),
