@@ -95,10 +95,6 @@ class Bins:
         first = max(self._bins[0][0], last - self._count + 1)
         return [known.get(number) for number in range(first, last + 1)]
 
-    def since(self, now: float, seconds: float) -> list[float]:
-        oldest = self.number(now - seconds)
-        return [value for number, value in self._bins if number >= oldest]
-
 
 class LoadMeter:
     """Bits and frames of the last second."""
@@ -118,7 +114,7 @@ class LoadMeter:
 
 
 HISTORY_BIN_S, HISTORY_BINS = 0.5, 120  # a minute
-PEAK_S = 1.0
+PEAK_BINS = 3  # of the last second: the open one and two before it
 TRACKS = 400  # pairs of counts that are remembered
 SPEED_S = 0.25  # over which the velocity is measured
 STEP_S = 0.01  # between two positions that are remembered for it
@@ -200,7 +196,7 @@ class ModuleModel:
             assumed.add("residual_limit_cycles")
         noise = values.get(od.FEEDBACK_NOISE, 0) / LIMIT_UNITS or None
         raw = amplitude is None and bool(self._tracks)
-        cause = od.loss_cause(values.get(od.COUNTER_LOSS_CAUSE))
+        cause, history = od.loss_cause(values.get(od.COUNTER_LOSS_CAUSE)), self._history.values(now)
         return ModuleSnapshot(
             layout=str(layout.origin),
             age_s=_since(self._came_s, now),
@@ -216,8 +212,8 @@ class ModuleModel:
             residual_cycles=None if residual is None else residual / LIMIT_UNITS,
             residual_limit_cycles=layout.supervision.limit_cycles(sync_hz, noise, velocity),
             residual_noise_cycles=noise,
-            residual_peak_cycles=max(self._history.since(now, PEAK_S), default=None),
-            residual_history_cycles=self._history.values(now),
+            residual_peak_cycles=max((one for one in history[-PEAK_BINS:] if one is not None), default=None),
+            residual_history_cycles=history,
             history_bin_s=self._history.width_s,
             amplitude_counts=math.hypot(*self._tracks[-1]) if raw else amplitude,
             amplitude_is_raw=raw,
