@@ -15,7 +15,7 @@ import pytest
 from canfb import objects as od
 from canfb.calibration.path_fit import LowPass
 from canfb.cia301.frame import Frame
-from canfb.cli.commission import named_config, over_bus
+from canfb.cli.commission import measured_nodes, named_config, over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.printing import Progress
 from canfb.commission.limit_choice import corner_choice
@@ -50,8 +50,8 @@ def run(bench: Bench, *words: str, guard: Guard | None = None) -> int:
     options.line = "canfb commission"
     if options.out:
         prepare_folder(options.out)
-    quiet = Progress(quiet=True)
-    return over_bus(bench.master, options, named_config(options), quiet, guard or Guard(), "2026-03-01")
+    nodes, quiet = measured_nodes(options, named_config(options)), Progress(quiet=True)
+    return over_bus(bench.master, options, nodes, quiet, guard or Guard(), "2026-03-01")
 
 
 def commission(bench: Bench, *arguments: str, guard: Guard | None = None) -> int:

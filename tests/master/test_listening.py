@@ -17,7 +17,6 @@ from canfb import objects as od
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.printing import Progress
-from canfb.configuration import Config
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import Guard
 from canfb.master.samples import PdoRecorder, TrackSamples, listen, read_npz, write_npz
@@ -260,7 +259,7 @@ def test_calibrating_on_a_bus_that_jitters(capsys: pytest.CaptureFixture[str]) -
     bench.access.write(0x1006, 0, "I", 1000)
     bench.bus.run_until(0.2)
     options = build_parser().parse_args(["calibrate", "--seconds", "5", "--json"])
-    assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
+    assert over_bus(bench.master, options, (32, None), Progress(quiet=True), Guard(), "2026-03-01") == 0
     figures = json.loads(capsys.readouterr().out)
     noise = bench.encoder.noise_lsb / (2 * np.pi * bench.encoder.amplitude_counts)
     stamps = rpm / 60 * 2500 * 100e-9 / 12**0.5

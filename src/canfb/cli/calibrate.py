@@ -40,7 +40,6 @@ from canfb.cli.options import (
     refuse_idle,
 )
 from canfb.cli.printing import Progress, shown_progress
-from canfb.configuration import Config
 from canfb.errors import CalibrationError
 from canfb.files import prepare_folder
 from canfb.master.access import Master
@@ -190,17 +189,21 @@ def calibrate(options: argparse.Namespace) -> int:
             return _said(
                 options, progress, date_and_time(), partial(CalibrationRun.from_file, path=choices.samples)
             )
-        measured_nodes(options, config)  # says what cannot be before there is a bus
+        nodes = measured_nodes(options, config)  # says what cannot be before there is a bus
         with sync_master(options, config) as (master, guard):
-            return over_bus(master, options, config, progress, guard, date_and_time())
+            return over_bus(master, options, nodes, progress, guard, date_and_time())
 
 
 def over_bus(
-    master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
+    master: Master,
+    options: argparse.Namespace,
+    nodes: tuple[int, int | None],
+    progress: Progress,
+    guard: Guard,
+    date: str,
 ) -> int:
     """On an open bus; the exit code. ``date``: ISO 8601, time behind a space."""
-    module, interface = measured_nodes(options, config)
-    return _said(options, progress, date, lambda run: run.over_bus(master, module, interface, guard))
+    return _said(options, progress, date, lambda run: run.over_bus(master, *nodes, guard))
 
 
 def _said(

@@ -21,7 +21,6 @@ from canfb.cli.options import (
 )
 from canfb.cli.printing import Progress, shown_progress
 from canfb.commission.commission_run import CommissionOptions, commission as run
-from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.files import prepare_folder
 from canfb.master.access import Master
@@ -90,19 +89,23 @@ def commission(options: argparse.Namespace) -> int:
     wishes, config = wishes_of(options), named_config(options)
     if wishes.out:
         prepare_folder(wishes.out)
-    measured_nodes(options, config)  # says what cannot be before there is a bus
+    nodes = measured_nodes(options, config)  # says what cannot be before there is a bus
     as_before = "limits that were not proven are as they were"
     with (
         shown_progress(quiet=options.json, interrupted=as_before) as progress,
         sync_master(options, config) as (master, guard),
     ):
-        return over_bus(master, options, config, progress, guard, date_and_time())
+        return over_bus(master, options, nodes, progress, guard, date_and_time())
 
 
 def over_bus(
-    master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
+    master: Master,
+    options: argparse.Namespace,
+    nodes: tuple[int, int | None],
+    progress: Progress,
+    guard: Guard,
+    date: str,
 ) -> int:
-    nodes = measured_nodes(options, config)
     return say_result(options, run(master, *nodes, wishes_of(options), guard, progress, date))
 
 
