@@ -8,7 +8,6 @@ it, with the same exit code.
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import io
 import logging
@@ -21,7 +20,7 @@ from collections.abc import Sequence
 from canfb.cli.aliases import current
 from canfb.cli.commands import WRONG_USE, build_parser, named_command
 from canfb.cli.options import refuse_combinations
-from canfb.cli.printing import print_line, printed_log
+from canfb.cli.printing import drop_output, print_line, printed_log
 from canfb.errors import CanfbError, ConfigError
 
 FAILED = 1
@@ -49,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:  # the reader has gone, as in `canfb demo | head`
-        _drop_output()
+        drop_output(sys.stdout)
         return FAILED
     except OSError as error:
         if "--debug" in arguments:
@@ -57,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         is_output = error.filename is None and error.errno in FULL
         where = "cannot write the output: " if is_output else f"{error.filename}: " * bool(error.filename)
         print(f"canfb: {where}{error.strerror or error}", file=sys.stderr)
-        _drop_output()
+        drop_output(sys.stdout)
         return FAILED
     return code
 
@@ -84,9 +83,3 @@ def _run(arguments: Sequence[str]) -> int:
             traceback.print_exc()
         print(f"canfb: {error}", file=sys.stderr)
         return WRONG_USE if isinstance(error, ConfigError) else FAILED
-
-
-def _drop_output() -> None:
-    """Python would complain at its end of what is still to be written."""
-    with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -38,9 +38,13 @@ def reader_may_go(stream: TextIO) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (errno.EPIPE, errno.EIO):
             raise
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
+        drop_output(stream)
+
+
+def drop_output(stream: TextIO) -> None:
+    """What is written to it from now on, and at the end of Python, goes nowhere."""
+    with contextlib.suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), stream.fileno())
 
 
 PATIENCE_S = 0.5  # at the end, for a reader
