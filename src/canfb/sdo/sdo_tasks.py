@@ -402,8 +402,7 @@ _COUNTED = frozenset({_ERRORS[0], *range(0x1600, 0x1800), *range(0x1A00, 0x1C00)
 
 def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDescriptions:
     """The EDS, of those ``known``, by 1018h; or ConfigError."""
-    vendor = node.integer(*od.IDENTITY_VENDOR_ID, "I")
-    product = node.integer(*od.IDENTITY_PRODUCT_CODE, "I")
+    vendor, product = (node.integer(*place, "I") for place in od.IDENTITY[:2])
     for described in (ObjectDescriptions(path, node.node_id) for path in known):
         if described.identity == (vendor, product):
             return described
