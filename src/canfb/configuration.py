@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from canfb.checks import within
-from canfb.errors import ConfigError
+from canfb.errors import LONGEST_REASON, ConfigError
 from canfb.files import read_bytes
 from canfb.interface.encoder_interface import InterfaceConfig
 from canfb.marked_yaml import YamlError, compose, construct, found_at, line_of as yaml_line, pairs
@@ -112,15 +112,11 @@ _HOLDS: dict[str, Any] = {
     "interfaces": [InterfaceConfig],
     "realtime": RealtimeConfig,
     "conditioning": Conditioning,
-    "adapt": AdaptConfig,
+    "adapt": AdaptConfig,  # or true for its defaults, or false
     "second_position": SecondPositionConfig,
     "source": SourceConfig,
 }
-_OR_FLAG = frozenset({"adapt"})  # or true for its defaults, or false
 _TAG = "tag:yaml.org,2002:"
-
-
-_LONGEST_MESSAGE = 300
 
 
 def load_config(path: str | Path, needs: Sequence[str] = MODULES) -> Config:
@@ -192,7 +188,7 @@ def _config_error(name: str, line: int, text: str) -> ConfigError:
 
 def _short(text: str) -> str:
     short = " ".join(text.split())
-    return f"{short[:_LONGEST_MESSAGE]} ..." if len(short) > _LONGEST_MESSAGE else short
+    return f"{short[:LONGEST_REASON]} ..." if len(short) > LONGEST_REASON else short
 
 
 # Keys of older versions, and merge keys of YAML: what to do.
@@ -271,7 +267,7 @@ class _Reader:
             return None
         if kind is SourceConfig:
             return self.read(node, self._kind_of_source(node), key)
-        if kind is None or (key in _OR_FLAG and isinstance(node, yaml.ScalarNode)):
+        if kind is None or (kind is AdaptConfig and isinstance(node, yaml.ScalarNode)):
             return self._single(node, what)
         return self.read(node, kind, key)
 
