@@ -123,6 +123,12 @@ def restore(options: argparse.Namespace) -> int:
             preop=options.preop,
             dry_run=options.dry_run,
         )
-    return node_options.say_result(
-        options, restored_result(path, kept, done, ObjectDescriptions(eds_path(EDS), node))
+    result = restored_result(
+        path,
+        kept,
+        done,
+        ObjectDescriptions(eds_path(EDS), node),
+        preop=options.preop,
+        dry_run=options.dry_run,
     )
+    return node_options.say_result(options, result)

@@ -227,8 +227,6 @@ class Restored:
     changes: dict[Place, tuple[Any, Any]]
     untouched: list[Place]
     saved_as: str | None
-    dry_run: bool
-    preop: bool
 
 
 def restore_backup(
@@ -285,7 +283,7 @@ def restore_backup(
             stores=STORES,
         )
     untouched = sorted(before.values().keys() - backup.values.keys() - {od.TABLE_STAGED, od.TABLE_ACTIVATE})
-    return Restored(module, identity, changes, untouched, saved_as, dry_run, preop)
+    return Restored(module, identity, changes, untouched, saved_as)
 
 
 def _checked_identity(module: NodeAccess, backup: Backup, force: bool) -> NodeIdentity:
@@ -369,8 +367,16 @@ def backup_result(backup: Backup, path: Path) -> Result:
     return Result(figures, lines)
 
 
-def restored_result(path: Path, backup: Backup, done: Restored, described: ObjectDescriptions) -> Result:
-    name, dry_run, saved_as = done.module.name, done.dry_run, done.saved_as
+def restored_result(
+    path: Path,
+    backup: Backup,
+    done: Restored,
+    described: ObjectDescriptions,
+    *,
+    preop: bool,
+    dry_run: bool,
+) -> Result:
+    name, saved_as = done.module.name, done.saved_as
     count = f"{len(done.changes)} of {len(backup.values) + 1} values"
     written = f"{count} changed to those of {path}, proven by reading all of them back"
     nothing = f"all values are those of {path} already; nothing was written"
@@ -397,13 +403,12 @@ def restored_result(path: Path, backup: Backup, done: Restored, described: Objec
         "unknown": list(backup.unknown),
         "untouched": [od.place_text(place) for place in done.untouched],
     }
-    return Result(figures, lines + _notes(backup, done))
+    return Result(figures, lines + _notes(backup, done, preop=preop and bool(changes) and not dry_run))
 
 
-def _notes(backup: Backup, done: Restored) -> list[str]:
+def _notes(backup: Backup, done: Restored, *, preop: bool) -> list[str]:
     ours, theirs = done.identity.serial_number, backup.identity.serial_number
     untouched = ", ".join(od.place_text(place) for place in done.untouched)
-    sent = done.preop and done.changes and not done.dry_run
     notes = those(
         (ours != theirs, f"the backup is of serial number {theirs}, this module has {ours}"),
         (
@@ -411,7 +416,7 @@ def _notes(backup: Backup, done: Restored) -> list[str]:
             f"left out, as this version does not know them: {', '.join(backup.unknown)}",
         ),
         (untouched, f"not in the backup, and as before: {untouched}"),
-        (sent, f"the node is in PRE-OPERATIONAL: canfb node start {done.module.node_id:#04x}"),
+        (preop, f"the node is in PRE-OPERATIONAL: canfb node start {done.module.node_id:#04x}"),
     )
     return [f"note: {note}" for note in notes]
 
