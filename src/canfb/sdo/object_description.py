@@ -121,11 +121,10 @@ class ObjectDescriptions:
             own = [one for one in self if fits(_words(one.name), query) or fits(_words(one.title), query)]
             whole = {one.index for one in self if one.parent and fits(_words(one.parent), query)}
             outside = [one for one in own if one.index not in whole]
-            if len(whole) == 1 and not outside:
-                return self.of_object(whole.pop())
-            if len(own) == 1 and not whole:
-                return own
-            if own or whole:
+            found = [[one] for one in outside] + [self.of_object(index) for index in whole]
+            if len(found) == 1:
+                return found[0]
+            if found:
                 several = [f"{one.number} {one.title}" for one in outside]
                 several += [f"{index:04X} {self.of_object(index)[0].parent}" for index in whole]
                 raise ConfigError(f"{text!r} means several objects: {listed(sorted(several))}")
