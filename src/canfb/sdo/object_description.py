@@ -118,9 +118,13 @@ class ObjectDescriptions:
         if not query:
             raise ConfigError(f"{text!r}: a number such as 2010:01, or the name of an object, is required")
         for fits in (str.__eq__, str.startswith):
-            own = [one for one in self if fits(_words(one.name), query) or fits(_words(one.title), query)]
             whole = {one.index for one in self if one.parent and fits(_words(one.parent), query)}
-            outside = [one for one in own if one.index not in whole]
+            outside = [
+                one
+                for one in self
+                if one.index not in whole
+                and (fits(_words(one.name), query) or fits(_words(one.title), query))
+            ]
             found = [[one] for one in outside] + [self.of_object(index) for index in whole]
             if len(found) == 1:
                 return found[0]
