@@ -130,14 +130,11 @@ def chosen(names: Iterable[str], patterns: Iterable[str]) -> list[str]:
     return found
 
 
-def by_setup(results: Results, text: Callable[[Cell, Sums], str]) -> Rows:
-    """Faults below each other, set-ups side by side; the first row has the heads."""
-    setups = list(dict.fromkeys(cell.setup for cell in results))
-    rows = [["fault", *setups]]
-    for fault in dict.fromkeys(cell.fault for cell in results):
-        cells = [Cell(fault, setup) for setup in setups]
-        rows.append([fault, *(text(cell, results[cell]) if cell in results else "" for cell in cells)])
-    return rows
+def by_setup(results: Results, text: Callable[[Sums], str]) -> Rows:
+    """Faults below each other, set-ups side by side, where each is for each; the first row has the heads."""
+    faults, setups = (list(dict.fromkeys(names)) for names in zip(*results, strict=True))
+    rows = [[fault, *(text(results[Cell(fault, setup)]) for setup in setups)] for fault in faults]
+    return [["fault", *setups], *rows]
 
 
 def by_count(results: Results, counts: Sequence[str], *, each_setup: bool = False) -> Rows:

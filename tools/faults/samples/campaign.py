@@ -125,7 +125,7 @@ def misses(cell: Cell, sums: Sums) -> Iterator[str]:
 
 def table_of(text: Callable[[Sums], str], results: Results) -> Rows:
     """Faults below each other, set-ups side by side; then all: silent as declared, and beyond."""
-    head, *rows = engine.by_setup(results, lambda _, sums: text(sums))
+    head, *rows = engine.by_setup(results, text)
     sums = [total(results, setup=one) for one in head[1:]]
     silent = [f"{one['silent']} of {one['declared']}" for one in sums]
     beyond = [f"{one['beyond']} of {one['episodes'] - one['declared']}" for one in sums]
