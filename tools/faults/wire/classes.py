@@ -7,6 +7,7 @@ head of this page; an aimed class brings its own machine (:mod:`tools.faults.wir
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from tools.faults.wire import clocks
@@ -357,16 +358,19 @@ class WireClass:
         return self._valid is not None and setup.fits(self._valid)
 
 
+aimed = partial(WireClass, torque=0.0)
+"""Without a torque pulse: the motion is that of the plan, or of the class itself."""
+
 CLASSES = {
     "healthy": WireClass(valid=""),
     # Without a time, what a host takes a period late may be of the next SYNC until a later frame shows it.
     "healthy, late host": WireClass(LATE_HOST, valid="stamps|times"),
     "healthy, zero pulses": WireClass(ZERO_PULSES, valid=""),
-    "healthy, at the limit": WireClass(at_the_limit, torque=0.0, of="times !servo", valid=""),
+    "healthy, at the limit": aimed(at_the_limit, of="times !servo", valid=""),
     "stall": WireClass(stall, after=220),
     "stall, one lost": WireClass(stall, lose_one_in_the_burst, after=220),
-    "pulse, 1..3 lost": WireClass(pulse_and_some_lost, torque=0.0, of="!servo"),
-    "pulse in the gap": WireClass(pulse_in_the_gap, torque=0.0, of="!servo"),
+    "pulse, 1..3 lost": aimed(pulse_and_some_lost, of="!servo"),
+    "pulse in the gap": aimed(pulse_in_the_gap, of="!servo"),
     **{f"PDO lost, {n}": WireClass(lost(n)) for n in (1, 2, 3, 5)},
     "PDO with the time lost": WireClass(time_lost, of="servo times"),
     "PDOs lost, 15 %": WireClass(slots(40, pdo_lost=lambda plan: plan.rng.uniform() < 0.15)),
@@ -392,9 +396,7 @@ CLASSES = {
     "SYNC doubled, late host": WireClass(LATE_HOST, SYNC_DOUBLED),
     "SYNC, second producer": WireClass(second_producer),
     "SYNC period changes": WireClass(period_changes, after=150),
-    "1006h wrong": WireClass(
-        options(period=True, period_factor=one_of(0.5, 2.0, 0.25, 4.0, 1.5, 0.9)), torque=0.0
-    ),
+    "1006h wrong": aimed(options(period=True, period_factor=one_of(0.5, 2.0, 0.25, 4.0, 1.5, 0.9))),
     "PDO doubled": WireClass(slots(one_of(1, 1, 2, 5), step=3, pdo_again_us=pdo_again)),
     "PDO replayed": WireClass(pdo_replayed),
     "PDOs slow": WireClass(slots(40, pdo_late_us=periods_us(0.4, 0.9))),
@@ -410,9 +412,7 @@ CLASSES = {
     ),
     "stamp, one bad": WireClass(one_bad_stamp, of="times"),
     "stamp, one bad, TPDO 1": WireClass(options(tpdo_type=1), one_bad_stamp, of="times"),
-    "stall of all, TPDO 1": WireClass(
-        clocks.everything_stalls, options(tpdo_type=1), torque=0.0, of="times !servo"
-    ),
+    "stall of all, TPDO 1": aimed(clocks.everything_stalls, options(tpdo_type=1), of="times !servo"),
     "stamps, 10 % bad": WireClass(
         slots(40, stamp=lambda plan: any_stamp(plan) if plan.rng.uniform() < 0.1 else None), of="times"
     ),
@@ -429,11 +429,11 @@ CLASSES = {
         any_of(ZERO_PULSES, COARSE), EXTRA_LOST, any_of(UNHEARD_BY_MODULE, sync_stops)
     ),
     "second position, any loss": WireClass(SECOND, any_of(any_loss, EXTRA_DOUBLED, EXTRA_LOST), after=160),
-    "witness, pause or bus-off": WireClass(WITNESS, any_of(pause, bus_off), torque=0.0, after=160),
+    "witness, pause or bus-off": aimed(WITNESS, any_of(pause, bus_off), after=160),
     "witness, deaf": WireClass(WITNESS, deaf(between(1, 60)), after=200),
-    "NMT pause": WireClass(pause, torque=0.0, after=110),
-    "bus-off": WireClass(bus_off, torque=0.0, after=110),
-    "bus-off, 1029h = 1": WireClass(options(stays=True), bus_off, torque=0.0, after=110),
+    "NMT pause": aimed(pause, after=110),
+    "bus-off": aimed(bus_off, after=110),
+    "bus-off, 1029h = 1": aimed(options(stays=True), bus_off, after=110),
     # Counts that pass for a sample are a legal motion, off by less than the residual limit.
     "foreign ADC PDO": WireClass(
         wire(tolerance=0.9), slots(one_of(1, 1, 10), foreign_us=periods_us(0.05, 0.95))
@@ -443,51 +443,39 @@ CLASSES = {
     "RPDO 255, TPDO 1": WireClass(options(rpdo_type=255, tpdo_type=1), any_loss),
     "RPDO 1, TPDO 1": WireClass(options(rpdo_type=1, tpdo_type=1), any_loss),
     "TPDO 1, predict": WireClass(PREDICTED, STEADY, any_loss),
-    "predict, SYNC stops or slows": WireClass(
-        PREDICTED, STEADY, any_of(period_changes, pause), torque=0.0, after=150
+    "predict, SYNC stops or slows": aimed(PREDICTED, STEADY, any_of(period_changes, pause), after=150),
+    "predict, another rate": aimed(
+        clocks.producer_changes_rate, PREDICTED, wire(tolerance=1.3), of="times stamps !servo"
     ),
-    "predict, another rate": WireClass(
-        clocks.producer_changes_rate, PREDICTED, wire(tolerance=1.3), torque=0.0, of="times stamps !servo"
-    ),
-    "stamp, bad again": WireClass(clocks.bad_stamp_again, torque=0.0, of="times !servo", survives=True),
-    "stamp, bad again after reset": WireClass(
-        clocks.bad_stamp_after_reset, torque=0.0, of="times !servo", survives=True
-    ),
-    "stamp, bad at the start": WireClass(clocks.bad_stamp_early, torque=0.0, of="times !servo"),
-    "stamp, late once": WireClass(clocks.late_stamp_once, torque=0.0, of="times !servo", survives=True),
-    "stamp, set in a burst": WireClass(clocks.clock_set_in_a_burst, torque=0.0, of="times !servo"),
-    "SYNC, producer shifts": WireClass(clocks.producer_shifts, torque=0.0, of="stamps !times"),
-    "SYNC, producer shifts, times": WireClass(
-        clocks.producer_shifts, torque=0.0, of="times !servo stamps", survives=True
-    ),
-    "SYNC, another rate": WireClass(clocks.producer_changes_rate, torque=0.0, of="stamps !times"),
-    "SYNC, another rate, doubled": WireClass(
-        clocks.producer_changes_rate, SYNC_DOUBLED, torque=0.0, of="stamps !times"
-    ),
-    "SYNC, another rate, times": WireClass(clocks.producer_changes_rate, torque=0.0, of="times"),
-    "SYNC faster, TPDO 1": WireClass(clocks.faster_sync, torque=0.0, of="!counter !servo"),
-    "lost, then NMT": WireClass(clocks.lost_then_started, torque=0.0, of="!servo"),
-    "reset node in motion": WireClass(clocks.reset_in_motion, torque=0.0, of="!servo"),
-    "NMT pause, short": WireClass(clocks.short_pause, torque=0.0, of="!servo"),
-    "NMT pause, samples later": WireClass(clocks.samples_later, torque=0.0, of="!servo"),
-    "deaf, creeping": WireClass(clocks.creeping_deaf, torque=0.0, of="times !servo !counter"),
-    "PDO lost, 1, at the limit": WireClass(clocks.one_lost_at_the_limit, torque=0.0, of="times !servo"),
-    "1006h ten times, PDO lost": WireClass(
-        clocks.wrong_1006_and_lost, torque=0.0, of="!servo", survives=True
-    ),
-    "start, stalls": WireClass(clocks.stalls_at_the_start, torque=0.0, of="times !servo", survives=True),
-    "stall, one burst": WireClass(
-        clocks.stall_in_one_burst, torque=0.0, of="counter !times !stamps", survives=True
-    ),
+    "stamp, bad again": aimed(clocks.bad_stamp_again, of="times !servo", survives=True),
+    "stamp, bad again after reset": aimed(clocks.bad_stamp_after_reset, of="times !servo", survives=True),
+    "stamp, bad at the start": aimed(clocks.bad_stamp_early, of="times !servo"),
+    "stamp, late once": aimed(clocks.late_stamp_once, of="times !servo", survives=True),
+    "stamp, set in a burst": aimed(clocks.clock_set_in_a_burst, of="times !servo"),
+    "SYNC, producer shifts": aimed(clocks.producer_shifts, of="stamps !times"),
+    "SYNC, producer shifts, times": aimed(clocks.producer_shifts, of="times !servo stamps", survives=True),
+    "SYNC, another rate": aimed(clocks.producer_changes_rate, of="stamps !times"),
+    "SYNC, another rate, doubled": aimed(clocks.producer_changes_rate, SYNC_DOUBLED, of="stamps !times"),
+    "SYNC, another rate, times": aimed(clocks.producer_changes_rate, of="times"),
+    "SYNC faster, TPDO 1": aimed(clocks.faster_sync, of="!counter !servo"),
+    "lost, then NMT": aimed(clocks.lost_then_started, of="!servo"),
+    "reset node in motion": aimed(clocks.reset_in_motion, of="!servo"),
+    "NMT pause, short": aimed(clocks.short_pause, of="!servo"),
+    "NMT pause, samples later": aimed(clocks.samples_later, of="!servo"),
+    "deaf, creeping": aimed(clocks.creeping_deaf, of="times !servo !counter"),
+    "PDO lost, 1, at the limit": aimed(clocks.one_lost_at_the_limit, of="times !servo"),
+    "1006h ten times, PDO lost": aimed(clocks.wrong_1006_and_lost, of="!servo", survives=True),
+    "start, stalls": aimed(clocks.stalls_at_the_start, of="times !servo", survives=True),
+    "stall, one burst": aimed(clocks.stall_in_one_burst, of="counter !times !stamps", survives=True),
     "two faults": WireClass(two_faults, after=260),
     "settings written": WireClass(settings_written, any_of(any_loss, SYNC_DOUBLED, slots(0)), after=160),
     "two faults, TPDO 1": WireClass(options(tpdo_type=1), two_faults, after=260),
     "two faults, coarse": WireClass(COARSE, two_faults, after=260),
     "two faults, witness": WireClass(any_of(ZERO_PULSES, SECOND), two_faults, after=260),
-    "stall of all": WireClass(clocks.everything_stalls, torque=0.0, of="times !servo", survives=True),
+    "stall of all": aimed(clocks.everything_stalls, of="times !servo", survives=True),
 }
 STALLS = {
-    name: WireClass(stalls(who, rate_hz, is_short), torque=0.0, of="times !servo", survives=is_short)
+    name: aimed(stalls(who, rate_hz, is_short), of="times !servo", survives=is_short)
     for who in WHO
     for rate_hz in RATES_HZ
     for is_short in (True, False)
