@@ -25,6 +25,7 @@ import pyperf
 
 import canfb
 from canfb.eds_files import eds_path
+from canfb.simulation.encoder import Encoder
 from tools.faults.machine import exact_table
 from tools.site.text import table
 
@@ -141,11 +142,8 @@ def feedback_module(**fields: Any) -> canfb.FeedbackModule:
 
 def adc_data(cycles: int, speed: float = 0.3) -> list[bytes]:
     """ADC PDOs of a drive that turns at this speed, cycles per sample."""
-    angles = [2 * math.pi * speed * k for k in range(cycles)]
-    return [
-        PAIR.pack(round(AMPLITUDE_COUNTS * math.sin(x)), round(AMPLITUDE_COUNTS * math.cos(x)))
-        for x in angles
-    ]
+    encoder = Encoder(amplitude_counts=AMPLITUDE_COUNTS)
+    return [PAIR.pack(*pair) for pair in zip(*encoder.sample(speed * np.arange(cycles)), strict=True)]
 
 
 class ModuleRun:

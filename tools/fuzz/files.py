@@ -101,7 +101,7 @@ class Reader:
     """Of files that end with ``suffix``: ``read`` a file, what refuses it, and ``begin``, good files."""
 
     suffix: str
-    read: Callable[[Path], None]
+    read: Callable[[Path], object]
     begin: Callable[[], list[bytes]]
     refusals: tuple[type[Exception], ...] = (CanfbError,)
 
@@ -216,10 +216,6 @@ def _recordings() -> list[bytes]:
     return ["\n".join(["t,sine,cosine", *rows]).encode(), b'sine , "cosine",t\r\n1,2,0\r\n3e1,-4.5,0.1\r\n']
 
 
-def _npz(path: Path) -> None:
-    read_npz(path)
-
-
 def _arrays() -> list[bytes]:
     sine, cosine = (np.arange(40, dtype=np.int16) * step for step in (90, -70))
     packed, plain = io.BytesIO(), io.BytesIO()
@@ -292,7 +288,7 @@ READERS = (
     Reader(".bin", _table, lambda: [TABLE.to_bytes()]),
     Reader(".yaml", _backup, _backups),
     Reader(".csv", _csv, _recordings),
-    Reader(".npz", _npz, _arrays),
+    Reader(".npz", read_npz, _arrays),
     *(Reader(suffix, _log, _logs(suffix)) for suffix in (".log", ".log.gz", ".asc", ".trc", ".csv", ".db")),
     Reader(".blf", _log, _logs(".blf", compression_level=0)),
     Reader(".bin", _state, _states, ()),

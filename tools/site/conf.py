@@ -27,7 +27,6 @@ include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/**.md"
 # The anchors that a reader of the repository sees, too; a link to one that is missing is an error.
 myst_heading_anchors = 6
 autodoc_member_order = "bysource"
-autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 html_theme = "furo"
 html_title = f"canfb {release}"
@@ -36,8 +35,6 @@ html_extra_path = ["root"]  # its index.html leads to that of the pages
 html_css_files = ["canfb.css"]
 html_show_sphinx = False
 html_copy_source = False
-html_show_sourcelink = False
-html_last_updated_fmt = None
 pygments_style = "friendly"
 pygments_dark_style = "native"
 
