@@ -121,13 +121,13 @@ def total(results: Results, fault: str = "*", setup: str = "*") -> Sums:
     return found
 
 
-def chosen(names: Iterable[str], patterns: Iterable[str]) -> list[str]:
-    """Names that one of the patterns is for; ValueError if there is none."""
+def chosen(names: Iterable[str], patterns: Sequence[str]) -> list[str]:
+    """Names that one of the patterns is for; ValueError for a pattern that is for none."""
     every = list(names)
-    found = [name for name in every if any(fnmatch(name, pattern) for pattern in patterns)]
-    if not found:
-        raise ValueError(f"{', '.join(patterns)}: there is none of these; there are {', '.join(every)}")
-    return found
+    for pattern in patterns:
+        if not any(fnmatch(name, pattern) for name in every):
+            raise ValueError(f"there is no {pattern}; there are {', '.join(every)}")
+    return [name for name in every if any(fnmatch(name, pattern) for pattern in patterns)]
 
 
 def by_setup(results: Results, text: Callable[[Sums], str]) -> Rows:

@@ -136,7 +136,8 @@ def table_of(text: Callable[[Sums], str], results: Results) -> Rows:
 def show(name: str, player: Player) -> str:
     """ValueError if there is no such fault or set-up."""
     kind, setup, seed, number = name.rsplit(":", 3)
-    campaign(player, [kind], [setup])
+    if Cell(kind, setup) not in campaign(player).cells():
+        raise ValueError(f"there is no {kind}:{setup}")
     first = int(number) // CHUNK * CHUNK
     every = list(player.played(Work(Cell(kind, setup), int(seed), range(first, first + CHUNK))))
     _, episode, published, verdict, _ = every[int(number) - first]
