@@ -164,6 +164,10 @@ def test_survivors_are_printed(project: Path) -> None:
     assert printed[-1] == "2 changes, 1 survived, 1 of them not known to change nothing"
 
 
+def test_a_file_that_no_change_would_reach_is_refused(project: Path) -> None:
+    assert [run(project, wrong) for wrong in ("test_small.py", "src/none.py")] == [(2, []), (2, [])]
+
+
 def test_each_known_survivor_is_a_change_and_has_a_reason() -> None:
     lines = [line.split("  # ") for line in KNOWN.read_text(encoding="utf-8").splitlines()]
     modules = {name.split(" ")[0] for name, _ in lines}

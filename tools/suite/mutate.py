@@ -186,6 +186,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--allow", type=Path, help="list of survivors that are known to change nothing")
     parser.add_argument("--jobs", type=int, default=2, help="processes at a time")
     options = parser.parse_args(ours)
+    for path in options.files:
+        if not (path.is_file() and path.resolve().is_relative_to(SOURCE)):
+            parser.error(f"{path}: there is no such file below {SOURCE}")
     lines = options.allow.read_text(encoding="utf-8").splitlines() if options.allow else []
     allowed = {line.split("  #")[0].strip() for line in lines}
     begun_s = time.monotonic()
