@@ -30,6 +30,12 @@ def test_the_short_form(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert (one["wrong"], one["uncounted"], one["not_recovered"]) == (0, 0, 0)
 
 
+@pytest.mark.parametrize("wrong", [["--cycles", "0"], ["--seed", "-1"], ["--setup", "none"]])
+def test_wrong_use_is_refused(wrong: list[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(wrong)
+
+
 @contextlib.contextmanager
 def soaked(name: str, seed: int) -> Iterator[World]:
     world = World(BY_NAME[name], seed)

@@ -154,20 +154,25 @@ def by_count(results: Results, counts: Sequence[str], *, each_setup: bool = Fals
 
 def parser(prog: str, doc: str | None, episodes: int, seed: int) -> argparse.ArgumentParser:
     options = argparse.ArgumentParser(prog=f"python -m {prog}", description=(doc or "").partition("\n")[0])
-    options.add_argument("--episodes", type=_positive, default=episodes, metavar="N", help="of each cell")
-    options.add_argument("--seed", type=int, nargs="+", default=[seed], metavar="S")
+    options.add_argument("--episodes", type=at_least(1), default=episodes, metavar="N", help="of each cell")
+    options.add_argument("--seed", type=at_least(0), nargs="+", default=[seed], metavar="S")
     for option, into in (("--class", "faults"), ("--setup", "setup")):
         options.add_argument(option, dest=into, nargs="+", default=["*"], metavar="NAME", help="with * and ?")
-    options.add_argument("--jobs", dest="processes", type=_positive, default=2, metavar="N")
+    options.add_argument("--jobs", dest="processes", type=at_least(1), default=2, metavar="N")
     options.add_argument("--json", action="store_true", help="all sums as JSON in place of the table")
     return options
 
 
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
-    return value
+def at_least(least: int) -> Callable[[str], int]:
+    """The type of an option that is a whole number."""
+
+    def number(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise argparse.ArgumentTypeError(f"{value} is not {least} or more")
+        return value
+
+    return number
 
 
 def run(campaign: Campaign, said: argparse.Namespace, table: Callable[[Results], Rows]) -> int:

@@ -24,6 +24,7 @@ from pathlib import Path
 from statistics import linear_regression
 from typing import Any, NamedTuple
 
+from tools.faults.engine import at_least
 from tools.soak.disturbances import disturbances_of
 from tools.soak.world import INTERVAL_S, SETUPS, Findings, Setup, World
 
@@ -108,13 +109,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog="python -m tools.soak", description=(__doc__ or "").partition("\n")[0]
     )
     names = [one.name for one in SETUPS]
-    parser.add_argument("--cycles", type=int, default=100_000, metavar="N", help="of each set-up")
+    parser.add_argument("--cycles", type=at_least(1), default=100_000, metavar="N", help="of each set-up")
     parser.add_argument("--setup", choices=names, help="only this one")
-    parser.add_argument("--seed", type=int, default=28)
+    parser.add_argument("--seed", type=at_least(0), default=28)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args(argv)
-    if options.cycles < 1:
-        parser.error("--cycles must be at least 1")
     chosen = [one for one in SETUPS if options.setup in (None, one.name)]
     results = []
     for setup in chosen:
