@@ -13,14 +13,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from canfb import FeedbackModule, Frame, StatusBit
+from canfb import FeedbackModule, ModuleConfig, StatusBit
 from tools.faults.wire.classes import CLASSES, STALLS
 from tools.faults.wire.draw import UNKNOWN_LIMIT, draw_plan, keep_regular, torque
 from tools.faults.wire.judge import ACCELERATION_ID, Judge, Verdict
 from tools.faults.wire.line import Event, Line, Plan, Sent, Slot, lay
 from tools.faults.wire.physics import unseen
-from tools.faults.wire.setups import EMCY_ID, NMT_ID, NODE, SETUPS, Bench
+from tools.faults.wire.setups import EMCY_ID, INTERFACE, NODE, SETUPS, set_up
 
+START_S = 100.0
 PER_FRAME_S = 8e-6
 STAMP_NOISE_S = 30e-6
 ENDLESS = 1000  # ticks in a row without progress
@@ -50,10 +51,8 @@ def _noise(plan: Plan, count: int) -> list[float]:
     return errors_s
 
 
-def drive(
-    module: FeedbackModule, plan: Plan, events: list[Event], begin_s: float
-) -> tuple[list[Sent], float]:
-    """Run the module over the events; what it sent, and the time of the end, seconds."""
+def drive(module: FeedbackModule, plan: Plan, events: list[Event], begin_s: float) -> list[Sent]:
+    """What the module sends when it is run over the events."""
     interval_s, rng, stamps = plan.options.interval_s, plan.rng, plan.setup.stamps
     latency = latencies_s(plan.host, rng)
     noise = _noise(plan, len(events)) if stamps else []
@@ -104,7 +103,7 @@ def drive(
             stuck += 1
             if stuck > ENDLESS:
                 raise RuntimeError(f"tick({now}) does not move its deadline {due}")
-    return sent, max(now, end_s)
+    return sent
 
 
 class Episode(NamedTuple):
@@ -130,10 +129,6 @@ class Played(NamedTuple):
     sent: list[Sent]
     judge: Judge
     verdict: Verdict
-
-
-_START = Frame(NMT_ID, bytes([1, NODE]))
-_bench = Bench()
 
 
 def plan_of(episode: Episode) -> Plan:
@@ -166,24 +161,21 @@ def jitter_s(plan: Plan) -> float:
     return 1e-6 * (plan.jitter_us * (GAUSSIAN if plan.gaussian else 1.0) + blocked_us) + STAMP_NOISE_S
 
 
-def play(episode: Episode, fresh: bool = False, confirm: bool = True) -> Played:
-    """Draw and play one episode; to ``confirm``, a wrong position counts on a module that is new only."""
+def play(episode: Episode) -> Played:
+    """Draw and play one episode, on a new module."""
     plan = plan_of(episode)
-    module = _bench.begin(plan.setup, plan.options, fresh)
-    begin = _bench.now + 0.01
-    module.receive(_START, _bench.now + 0.005)
+    module = FeedbackModule(ModuleConfig(node_id=NODE, encoder_interface=INTERFACE))
+    module.start(START_S)
+    begin_s = set_up(module, plan.setup, plan.options, START_S)
     line = lay(plan)
-    sent, _bench.now = drive(module, plan, line.events, begin)
+    sent = drive(module, plan, line.events, begin_s)
     judge = Judge(plan, line)
-    verdict = judge.judge(sent)
-    if verdict.wrong and confirm and not fresh:
-        return play(episode, fresh=True)
-    return Played(plan, line, sent, judge, verdict)
+    return Played(plan, line, sent, judge, judge.judge(sent))
 
 
 def trace(episode: Episode, every: bool) -> int:
     """Print one episode: what was planned, heard and sent; 1 if a valid position was wrong."""
-    played = play(episode, fresh=True)
+    played = play(episode)
     plan = played.plan
     print(f"{episode}: {played.verdict.outcome}")
     print(f"  {plan.motion.speed(plan.fault):.3f} cycles/T in slot {plan.fault}, SYNC at {plan.fault + 1} T")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, replace
 
-from canfb import FeedbackModule, Frame, ModuleConfig
+from canfb import FeedbackModule, Frame
 
 NODE, INTERFACE = 32, 16
 SYNC_ID, NMT_ID = 0x080, 0x000
@@ -86,30 +86,16 @@ class Options:
     acceleration: bool = False  # TPDO3 with status and 2011:09
 
 
-class Bench:
-    """One module, reset by NMT between episodes, or made new."""
-
-    def __init__(self) -> None:
-        self.module: FeedbackModule | None = None
-        self.now = 100.0
-
-    def begin(self, setup: Setup, options: Options, fresh: bool = False) -> FeedbackModule:
-        """A module in PRE-OPERATIONAL with this set-up; its time is :attr:`now`."""
-        if fresh or self.module is None:
-            self.module = FeedbackModule(ModuleConfig(node_id=NODE, encoder_interface=INTERFACE))
-            self.now = 100.0
-            self.module.start(self.now)
-        else:
-            self.now = float(int(self.now) + 2)
-            self.module.receive(Frame(NMT_ID, bytes([129, NODE])), self.now)
-            self.module.chain.restart()  # a new module knows nothing of the machine of the last episode
-        for request in configuration(setup, options):
-            self.now += 1e-4
-            frames = self.module.receive(request, self.now)
-            (reply,) = [frame.data for frame in frames if frame.can_id == SDO_TX]
-            if reply[0] != WRITE_REPLY:
-                raise RuntimeError(f"{request.data.hex()}: {reply.hex()}")
-        return self.module
+def set_up(module: FeedbackModule, setup: Setup, options: Options, now: float) -> float:
+    """From PRE-OPERATIONAL to OPERATIONAL with this set-up; when the episode begins, seconds."""
+    for request in configuration(setup, options):
+        now += 1e-4
+        frames = module.receive(request, now)
+        (reply,) = [frame.data for frame in frames if frame.can_id == SDO_TX]
+        if reply[0] != WRITE_REPLY:
+            raise RuntimeError(f"{request.data.hex()}: {reply.hex()}")
+    module.receive(Frame(NMT_ID, bytes([1, NODE])), now + 0.005)
+    return now + 0.01
 
 
 def configuration(setup: Setup, options: Options) -> list[Frame]:
