@@ -123,7 +123,7 @@ def test_a_module_is_set_up_with_a_table() -> None:
     "wrong",
     [
         *(["--cycles", "0"], ["--rate", "0"], ["--rate", "nan"], ["--rounds", "0"]),
-        *(["--loads", "heavy"], ["--nodes", "floor,other"]),
+        *(["--loads", "heavy"], ["--nodes", "floor,other"], ["--nodes", "floor", "--loads", "sdo"]),
     ],
 )
 def test_wrong_use_is_told(wrong: list[str]) -> None:

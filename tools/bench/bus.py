@@ -14,7 +14,7 @@ as far as the system permits; busy: the node never sleeps.
 
 All combinations are measured in turns, in --rounds parts. Printed are the processor time of the node for one
 cycle (user and system, of all its threads), its ratio to that of the first row, both as medians of the
-rounds, and percentiles of the times. docs/evidence.md and docs/latency.md say how to read the figures.
+rounds, and percentiles of the times. docs/latency.md says how to read the figures.
 """
 
 from __future__ import annotations
@@ -179,6 +179,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for one in product(chosen["loads"], chosen["nodes"], chosen["realtime"])
         if one[0] != "sdo" or one[1] not in ("stock", "floor")  # which have no block transfer
     }
+    if not found:
+        parser.error("--loads sdo: stock and floor have no block transfer")
     for number, (one, figures) in product(range(options.rounds), found.items()):
         print(f"round {number + 1} of {options.rounds}: {', '.join(one)}", file=sys.stderr)
         measure(figures, one, options.channel, options.rate, -(-options.cycles // options.rounds))

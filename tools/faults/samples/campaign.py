@@ -3,9 +3,9 @@
     python -m tools.faults.samples.campaign tracks|count [--episodes N] [--class FAULT] [--setup NAME]
     python -m tools.faults.samples.campaign count --show "KIND:SETUP:SEED:NUMBER"
 
-docs/evidence.md says what the cells mean; e: episodes that were not valid before their fault. Machines turn
-at up to 125 cycles per sample. Set-ups of ``count`` are accelerations. The result depends on the seeds only.
-Exit status 1 if a goal is missed. With ``--exceed F`` the machine does F times what is declared.
+docs/evidence.md says what the cells mean. Machines turn at up to 125 cycles per sample. Set-ups of ``count``
+are accelerations. The result depends on the seeds only. Exit status 1 if a goal is missed. With
+``--exceed F`` the machine does F times what is declared.
 """
 
 from __future__ import annotations
