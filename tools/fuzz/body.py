@@ -14,19 +14,16 @@ from contextlib import suppress
 from functools import lru_cache
 from typing import NamedTuple
 
+from canfb import FeedbackModule, Frame, ModuleConfig, Sample
 from canfb.cia301 import cob
 from canfb.cia301.codes import NmtState, SdoAbort
 from canfb.cia301.datatypes import DataType
-from canfb.cia301.frame import Frame
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.nmt_slave import COMMUNICATING
 from canfb.device.od.dictionary import Entry
 from canfb.device.pdo.mapping import COMMUNICATION, MAPPING, Direction, numbers, resolve_all
 from canfb.device.storage.storage import MemoryStore
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.signal.sample import Sample
 from tools.fuzz.inputs import CONTENTS, LSS, NODE_ID, SERVER, Input, Step
 from tools.fuzz.sdo import Broken, Follower, SdoWatcher, demand
 

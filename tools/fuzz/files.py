@@ -21,19 +21,14 @@ from typing import Any
 import can
 import numpy as np
 
-from canfb.cia301.frame import Frame
+from canfb import CanfbError, FeedbackModule, Frame, ModuleConfig, StateFiles, eds_path
 from canfb.configuration import ANY_NODES, changed_module, load_config
 from canfb.device.od.dcf import decode_concise, encode_concise
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.storage import MemoryStore
-from canfb.eds_files import eds_path
-from canfb.errors import CanfbError
-from canfb.hosting.state_files import StateFiles
 from canfb.logs.log_replay import ReplayOptions, replay_log
 from canfb.master.samples import read_npz
 from canfb.module.device_configuration import configuration_of
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.sdo.backups import Backup, NodeIdentity, backup_text, read_backup
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.tables import as_yaml, read_table

@@ -15,10 +15,8 @@ from functools import partial
 
 from hypothesis import strategies as st
 
-from canfb.cia301.frame import Frame
+from canfb import CorrectionTable, Frame, eds_path
 from canfb.device.od.dictionary import Dictionary
-from canfb.eds_files import eds_path
-from canfb.signal.correction import CorrectionTable
 
 NODE_ID = 32
 SERVER, SECOND_SERVER, SECOND_ANSWER = 0x600 + NODE_ID, 0x6C0, 0x6D0

@@ -13,15 +13,13 @@ from functools import partial
 from itertools import groupby
 from typing import NamedTuple
 
+from canfb import Conditioning, ModuleConfig, SecondPositionConfig, eds_path
 from canfb.cli.commands import build_parser
 from canfb.configuration import Config, RealtimeConfig
 from canfb.device.od import eds
-from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import InterfaceConfig
-from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions
 from canfb.sdo.sdo_tasks import in_words, type_name, words_of
-from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 from canfb.sources.protocol import source_kinds

@@ -5,10 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from canfb import objects as od
+from canfb import CorrectionTable, Frame, objects as od
 from canfb.cia301.codes import NmtCommand
-from canfb.cia301.frame import Frame
-from canfb.signal.correction import CorrectionTable
 from tools.soak.hosted import Hosted
 from tools.soak.world import INTERFACE, INTERVAL_S, MODULE, OTHER, SAMPLES, SYNC, Setup, World, rests
 

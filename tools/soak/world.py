@@ -11,21 +11,15 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
 
-from canfb import objects as od
+from canfb import CanfbError, Feedback, FeedbackModule, Frame, ModuleConfig, Sample, StatusBit, objects as od
 from canfb.cia301.codes import NmtCommand, NmtState
-from canfb.cia301.frame import Frame
 from canfb.device.node import Device, NodeDevice
 from canfb.device.storage.storage import Changes, MemoryStore, Store
-from canfb.errors import CanfbError
 from canfb.hosting.event_log import EventLog
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.master.access import NodeAccess
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import apply_defaults
 from canfb.monitoring.bus_model import BusModel
-from canfb.objects import StatusBit
-from canfb.signal.sample import Feedback, Sample
 from canfb.simulation.embedded_bus import REGULAR, EmbeddedBus, SyncProducer, SyncTiming
 from canfb.sources.protocol import SourceError
 from tools.soak.embedded_master import EmbeddedMaster

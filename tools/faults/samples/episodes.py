@@ -14,10 +14,9 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from canfb import SignalChain
+from canfb import Sample, SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.limits import PHASE_ERROR_CYCLES, samples_without_harm
-from canfb.signal.sample import Sample
 from tools.faults.machine import (
     Array,
     Counts,

@@ -13,11 +13,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from canfb import AdaptConfig, CorrectionTable, SignalChain, phase_in_cycle
+from canfb import AdaptConfig, ChainConfig, CorrectionTable, SignalChain, phase_in_cycle
 from canfb.calibration.ellipse import with_track_harmonics
 from canfb.planning.coverage import KINDS as COMPUTED
 from canfb.signal.adaptation import FollowedDrift
-from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.limits import DOUBT_ACCELERATION
 from canfb.simulation import faults
