@@ -24,7 +24,7 @@ def samples_lost(world: World) -> None:
     """Up to three ADC PDOs in a row, and each of them is counted, but for the first after a start."""
     world.recover()
     lost, before, interruptions = world.rng.randint(1, 3), world.missed(), world.interruptions
-    world.cable.losing[SAMPLES] = lost
+    world.cable.losing = lost
     world.pass_(0.02)
     beyond = world.missed() - before - lost
     if beyond and (beyond < 0 or interruptions == world.interruptions):  # of a lost position, more may be

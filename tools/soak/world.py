@@ -70,22 +70,20 @@ def is_fast(time_s: float) -> bool:
 
 
 class Machine:
-    """A source of samples with a coarse track, one cycle of it per revolution of ``cycles_per_revolution``.
+    """A source of samples with a coarse track, one cycle of it per revolution.
 
-    ``broken``: the converter gives nothing.
+    broken          the converter gives nothing
+    sampled_cycles  where it was at the last sample
     """
 
-    def __init__(self, cycles_per_revolution: int) -> None:
-        self._per_revolution = cycles_per_revolution
-        self.broken = False
-        self.sampled_cycles = 0.0
-        """Where it was at the last sample."""
+    broken = False
+    sampled_cycles = 0.0
 
     def sample_at(self, now: float) -> Sample:
         if self.broken:
             raise SourceError("the converter does not answer")
         self.sampled_cycles = position = position_cycles(now)
-        coarse_sine, coarse_cosine = _tracks(position / self._per_revolution)
+        coarse_sine, coarse_cosine = _tracks(position / CYCLES)
         return Sample(*_tracks(position), coarse_sine=coarse_sine, coarse_cosine=coarse_cosine)
 
     def next(self) -> Sample:
@@ -99,23 +97,23 @@ def _tracks(position: float) -> tuple[int, int]:
 
 
 class Cable:
-    """A device behind a cable that can be pulled out, and that loses frames of some CAN-IDs.
+    """A device behind a cable that can be pulled out, and that loses ADC PDOs.
 
-    losing   by CAN-ID: how many frames more do not arrive
+    losing   how many of these more do not arrive
     stamp_s  by how much the clock of receive times is ahead; None: frames have none
     """
 
     def __init__(self, device: Device, stamp_s: float | None = None) -> None:
         self._device, self.stamp_s = device, stamp_s
         self.pulled = False
-        self.losing: dict[int, int] = {}
+        self.losing = 0
         self.start, self.deadline = device.start, device.deadline
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         if self.pulled:
             return []
-        if self.losing.get(frame.can_id):
-            self.losing[frame.can_id] -= 1
+        if self.losing and frame.can_id == SAMPLES:
+            self.losing -= 1
             return []
         if self.stamp_s is not None:
             frame = frame._replace(timestamp=now + self.stamp_s)
@@ -256,7 +254,7 @@ class World:
         self.setup = setup
         self.rng = random.Random(f"{seed} {setup.name}")
         self.bus = bus = EmbeddedBus(setup.bit_rate)
-        self.machine = Machine(CYCLES)
+        self.machine = Machine()
         config = ModuleConfig(
             node_id=MODULE, encoder_interface=INTERFACE, cycles_per_revolution=CYCLES, **setup.config
         )
@@ -278,7 +276,7 @@ class World:
         self._log.addFilter(self._counts)
         self.hosted = Hosted(self.module, self._log.info) if setup.hosted else None
         self.cable = Cable(self.hosted or self.module, 0.0 if setup.stamps else None)
-        other = EncoderInterface(OTHER, Machine(CYCLES))
+        other = EncoderInterface(OTHER, Machine())
         apply_defaults(other.dictionary, {HEARTBEAT_TIME: round(1e3 * HEARTBEAT_S)})
         self.other = Cable(other)
         self.monitor = BusModel()
