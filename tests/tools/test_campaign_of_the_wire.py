@@ -18,18 +18,7 @@ from tools.faults.wire.judge import VALID, Judge, Verdict
 from tools.faults.wire.line import TICK_S, Line, Plan, Sent, Slot, lay
 from tools.faults.wire.physics import stamp_tolerance, unseen
 from tools.faults.wire.play import Episode, drive, plan_of, play
-from tools.faults.wire.setups import (
-    INTERFACE,
-    NMT_ID,
-    NODE,
-    RANGE_CYCLES,
-    SDO_TX,
-    SETUPS,
-    TPDO1_ID,
-    UNITS_PER_CYCLE,
-    Options,
-    set_up,
-)
+from tools.faults.wire.setups import RANGE_CYCLES, SDO_TX, SETUPS, TPDO1_ID, UNITS_PER_CYCLE, Options, set_up
 
 SPEED = 7.0  # cycles/T
 FOUND = (  # each was valid and wrong
@@ -184,10 +173,10 @@ def test_an_episode_is_the_same_each_time_and_on_a_module_that_was_reset() -> No
     earlier = Episode.parse("stamp, bad again after reset:times:3")
     assert play(earlier).verdict.outcome != "lost"
     before, plan = plan_of(earlier), plan_of(episode)
-    module = FeedbackModule(ModuleConfig(node_id=NODE, encoder_interface=INTERFACE))
+    module = FeedbackModule(ModuleConfig(node_id=32, encoder_interface=16))
     module.start(100.0)
     drive(module, before, lay(before).events, set_up(module, before.setup, before.options, 100.0))
-    module.receive(Frame(NMT_ID, bytes([129, NODE])), 200.0)
+    module.receive(Frame(0x000, bytes([129, 32])), 200.0)
     module.chain.restart()  # a new module knows nothing of the machine of the last episode
     sent = drive(module, plan, lay(plan).events, set_up(module, plan.setup, plan.options, 200.0))
     frames = [[one.frame for one in of_one] for of_one in (play(episode).sent, play(episode).sent, sent)]

@@ -11,10 +11,9 @@ from random import Random
 import pytest
 from hypothesis import given
 
+from canfb import CanfbError, Frame
 from canfb.cia301.codes import NmtState, SdoAbort
-from canfb.cia301.frame import Frame
 from canfb.device.sdo.server import SdoServer
-from canfb.errors import CanfbError
 from drawing import examples
 from folding import each
 from tools.fuzz import body, files
@@ -209,26 +208,22 @@ def test_inputs_that_were_changed_find_nothing(number: int, tmp_path: Path) -> N
         files.play(kind + data, tmp_path)
 
 
-def refuse(text: str) -> Callable[[Path], None]:
+def refuse(error: Exception) -> Callable[[Path], None]:
     def read(path: Path) -> None:
-        raise CanfbError(text)
+        raise error
 
     return read
-
-
-def fail(path: Path) -> None:
-    raise KeyError("other")
 
 
 @pytest.mark.parametrize(
     ("read", "found"),
     [
-        (refuse("a.yaml:1: this is not YAML"), None),
-        (refuse("two\nlines"), NotOneLineError),
-        (refuse(""), NotOneLineError),
-        (refuse("x" * 2000), NotOneLineError),
-        (refuse("MemoryError: 9 GB"), NotOneLineError),
-        (fail, KeyError),
+        (refuse(CanfbError("a.yaml:1: this is not YAML")), None),
+        (refuse(CanfbError("two\nlines")), NotOneLineError),
+        (refuse(CanfbError("")), NotOneLineError),
+        (refuse(CanfbError("x" * 2000)), NotOneLineError),
+        (refuse(CanfbError("MemoryError: 9 GB")), NotOneLineError),
+        (refuse(KeyError("other")), KeyError),
     ],
 )
 def test_what_is_found(
