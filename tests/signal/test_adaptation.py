@@ -13,13 +13,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 import canfb
+from canfb import ChainConfig, Conditioning, Feedback, Sample, SignalChain
 from canfb.signal.adaptation import NO_DRIFT, AdaptConfig, FollowedDrift
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from canfb.signal.phase import raw_phases
-from canfb.signal.sample import Feedback, Sample
 from canfb.simulation.encoder import Encoder, Harmonic
 from drawing import examples
 from folding import each

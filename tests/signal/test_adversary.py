@@ -20,11 +20,7 @@ import witness_kit
 from test_second_position import DISAGREES, FINE, INCREMENTS, LOST, VALID, N, wrapped
 from witness_kit import at
 
-from canfb.objects import StatusBit
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.sample import Feedback, Sample
-from canfb.signal.second_position import SecondSensor
+from canfb import ChainConfig, Feedback, Sample, SecondSensor, SignalChain, StatusBit
 from canfb.signal.witness.witness import DISAGREEING
 from folding import each
 

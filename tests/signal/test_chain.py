@@ -11,16 +11,10 @@ import pytest
 from hypothesis import assume, given, strategies as st
 from witness_kit import AMPLITUDE, Machine, at, flags, moving
 
+from canfb import AdaptConfig, ChainConfig, Conditioning, Sample, SecondSensor, SignalChain, Tracker
 from canfb.objects import LossCause, StatusBit
-from canfb.signal.adaptation import AdaptConfig
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
-from canfb.signal.sample import Sample
-from canfb.signal.second_position import SecondSensor
 from canfb.signal.speeds import STILL_SAMPLES
-from canfb.signal.tracker import Tracker
 from folding import each
 
 

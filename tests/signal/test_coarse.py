@@ -9,8 +9,7 @@ import pytest
 from hypothesis import example, given, strategies as st
 from witness_kit import Machine, above, at, below, flags, has, moving
 
-from canfb.objects import StatusBit
-from canfb.signal.sample import Feedback
+from canfb import Feedback, StatusBit
 from canfb.signal.witness.witness import CoarseTrack, Pair
 from folding import each
 

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from test_bounded_motion import ends_through
 
-from canfb.signal.chain import SignalChain
+from canfb import Sample, SignalChain
 from canfb.signal.estimator import Estimator
 from canfb.signal.limits import Declared as EstimatorDeclared, kept_samples
-from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, VALID
 from folding import each
 from ideal_tracks import counts_at

@@ -9,12 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from canfb.objects import StatusBit
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.conditioning import Conditioning
+from canfb import ChainConfig, Conditioning, Sample, SignalChain, StatusBit
 from canfb.signal.front_end import NO_LOW_PASS, PLACES, SPEEDS, Corners, FrontEnd, corrected, harmonic_rows
-from canfb.signal.sample import Sample
 from folding import each
 from servo_kit import IDEAL_TABLE
 

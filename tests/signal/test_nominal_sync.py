@@ -8,9 +8,7 @@ import struct
 
 import pytest
 
-from canfb.cia301.frame import Frame
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
+from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.signal.supervision import EXTRAPOLATED, VALID
 from canfb.timing.grid import LEARNED, MEMORY, Grid
 from ideal_tracks import adc_pdo

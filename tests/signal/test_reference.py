@@ -10,10 +10,9 @@ import pytest
 from hypothesis import example, given, strategies as st
 from witness_kit import Machine, flags, moving
 
+from canfb import Sample, Track
 from canfb.objects import LossCause, StatusBit
-from canfb.signal.sample import Sample
 from canfb.signal.supervision import COASTING, LOST, VALID
-from canfb.signal.tracker import Track
 from canfb.signal.witness.reference import Reference, pulse_between
 from canfb.signal.witness.witness import CoarseTrack, Pair
 from canfb.signal.witness.zero_pulse import Pulse, PulseVerdict, ZeroPulse

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from canfb import Feedback, Tracker
 from canfb.signal.residual_noise import BLOCK_SAMPLES, FEWEST_BLOCKS, REFERENCE_BLOCKS, ResidualNoise
-from canfb.signal.sample import Feedback
 from canfb.signal.supervision import AMPLITUDE, VALID
-from canfb.signal.tracker import Tracker
 
 WEIGHTS = math.sqrt(6.0)
 

@@ -10,10 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 from witness_kit import Machine, at, has
 
-from canfb.objects import StatusBit
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.sample import Feedback, Sample
+from canfb import ChainConfig, Feedback, Sample, SignalChain, StatusBit
 from canfb.signal.second_position import SecondScale, SecondSensor, step_increments
 from canfb.signal.witness.second import LONGEST_GAP
 from canfb.signal.witness.witness import Pair, counts_within

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
+from canfb import ChainConfig, SignalChain
 from canfb.signal.sample import LEAST_APART, Feedback, Sample, in_order
 from canfb.signal.supervision import LOST, MISSED, REFERENCED
 from canfb.signal.witness.zero_pulse import Pulse, PulseVerdict

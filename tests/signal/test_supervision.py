@@ -10,11 +10,8 @@ import pytest
 from hypothesis import example, given, strategies as st
 from witness_kit import Machine, above, at, below, flags, has, moving
 
-from canfb.objects import StatusBit
+from canfb import ChainConfig, Sample, SignalChain, StatusBit
 from canfb.signal import supervision
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.sample import Sample
 from canfb.signal.supervision import FrozenInput, SampleLimits, Supervision, repeats
 from folding import each
 

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 from witness_kit import at
 
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
+from canfb import ChainConfig, SignalChain
 from canfb.signal.sample import TICKS, Feedback
 from canfb.signal.sample_times import HEARD_S, OLDEST, REPEATED, RESTARTED, SUSPECT, SampleTimes
 from canfb.timing.grid import ROW

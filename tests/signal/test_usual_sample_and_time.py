@@ -14,13 +14,11 @@ from typing import Any
 import pytest
 from hypothesis import example, given, strategies as st
 
-from canfb.signal.chain import SignalChain
+from canfb import Conditioning, SecondSensor, SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.front_end import Corners
 from canfb.signal.sample import TICK_S, TICKS, Feedback, Sample
-from canfb.signal.second_position import SecondSensor
 from canfb.signal.supervision import LOST, VALID, SampleLimits
 from ideal_tracks import Resolving, counts_at
 

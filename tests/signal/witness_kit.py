@@ -6,10 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from canfb.objects import StatusBit
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.sample import Feedback, Sample
+from canfb import ChainConfig, Feedback, Sample, SignalChain, StatusBit
 
 AMPLITUDE = 1500.0
 DEAD = Sample(0.0, 0.0)
