@@ -22,9 +22,11 @@ Groups = list[ParameterGroup]
 
 
 class Expiry(Protocol):
-    """Until when, seconds, the process data of the program holds."""
+    """How long the process data of the program holds."""
 
-    until: float
+    @property
+    def until(self) -> float:
+        """Until then, seconds."""
 
 
 class HeldRpdo(Protocol):

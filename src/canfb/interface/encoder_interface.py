@@ -157,16 +157,11 @@ class MachineNode(NodeDevice):
         return super().receive(frame, now)
 
     def tick(self, now: float) -> list[Frame]:
-        self.call.now = now
         self.received_s = self.time_base.at(now)
-        self.time_passed()
         return super().tick(now)
 
     def overhear(self, frame: Frame) -> None:
         """Before :meth:`receive`."""
-
-    def time_passed(self) -> None:
-        """Before a tick."""
 
 
 BLOCK_SAMPLES = 1 << 16

@@ -117,16 +117,16 @@ def test_a_restart_is_a_fault_at_once_and_is_told_once(of_module: bool, command:
     (bench.module_master if of_module else bench.master).nmt.send_command(command)
     assert_fault(bench, error)
     assert bench.emergencies() == [error]
+    moved: list[frozenset[int]] = []
+    bench.drive.follow_can_ids(lambda: moved.append(bench.drive.can_ids().data))
+    for code in (0xA1, 0x80 + MODULE_ID):  # of a bus that filters, it gets EMCY and boot-up
+        bench.write(0x2110, code, 7)
+        assert {code, 0x680 + code} <= moved[-1]
 
 
 @pytest.mark.parametrize(
     ("option", "state"),
-    [
-        (0, State.OPERATION_ENABLED),
-        (1, State.FAULT),
-        (2, State.SWITCH_ON_DISABLED),
-        (3, State.QUICK_STOP_ACTIVE),
-    ],
+    [*enumerate([State.OPERATION_ENABLED, State.FAULT, State.SWITCH_ON_DISABLED, State.QUICK_STOP_ACTIVE])],
 )
 def test_6007h_says_what_a_lost_heartbeat_does(option: int, state: State) -> None:
     bench = cruising()

@@ -9,6 +9,7 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import ErrorRegister, NmtState
 from canfb.cia301.frame import Frame
+from canfb.device.core import NEVER, CanIds
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.eds_files import eds_path
@@ -40,7 +41,9 @@ class ServoDrive(MachineNode):
         config = plant.motor.config
         dictionary = Dictionary.load(eds_path(EDS), config.node_id)
         apply_defaults(dictionary, _defaults(config, module))
-        super().__init__(dictionary, config.node_id, autostart=autostart, store=None, bit_rates_kbit_s=())
+        super().__init__(
+            dictionary, config.node_id, autostart=autostart, store=None, bit_rates_kbit_s=(), expiry=self
+        )
         self.plant = plant
         self.feedback = FeedbackInput(self.dictionary)
         self.axis = Axis(self.dictionary, self.feedback, config.motor_increments, self._show)
@@ -59,6 +62,7 @@ class ServoDrive(MachineNode):
         self._torque = entry(0x6077)
         self._abort_option, self._fault_option = entry(0x6007), entry(0x605E)
         self._emergency_id, self._sync_timeout = entry(0x2110, 7), entry(0x2110, 8)
+        self._emergency_id.on_written = self._life.routes_changed
         self._controlword = entry(0x6040)
         self._controlword.on_written = self._controlled
         self._fault_option.on_check = refuse_if(lambda value: value not in (COAST, QUICK_STOP_RAMP))
@@ -72,7 +76,7 @@ class ServoDrive(MachineNode):
         return int(self._error.value)
 
     def describe(self) -> str:
-        node, module = self.node_id, self._emergency_id.value & 0x7F
+        node, module = self.node_id, self._emergency_id.value & cob.NODE_ID
         return f"drive: node {node} ({node:02X}h), position from node {module} ({module:02X}h)"
 
     def summary(self) -> str:
@@ -85,15 +89,22 @@ class ServoDrive(MachineNode):
         """Seconds from SYNC to SYNC: 1006h, else measured; 0.0 while it is not known."""
         return float(self._period.value / 1e6) or self._interval.seconds
 
-    def time_passed(self) -> None:
-        due = self._sync_due()
-        if due is not None and self.now >= due:
-            self._fail(DriveError.SYNC_CONTROLLER)
-            self._switch(Command.RAMP_DONE)  # a ramp needs the SYNC as well
+    @property
+    def until(self) -> float:
+        timeout_ms = self._sync_timeout.value
+        watched = self.power in SWITCHED_ON or self.power is State.FAULT_REACTION_ACTIVE
+        if not timeout_ms or not watched or self.state is not NmtState.OPERATIONAL:
+            return NEVER
+        return self._watched_from_s + float(timeout_ms / 1000.0)
 
-    def deadline(self) -> float | None:
-        times = [time for time in (super().deadline(), self._sync_due()) if time is not None]
-        return min(times, default=None)
+    def overdue(self, now: float) -> None:
+        self._fail(DriveError.SYNC_CONTROLLER)
+        self._switch(Command.RAMP_DONE)  # a ramp needs the SYNC as well
+
+    def can_ids(self) -> CanIds:
+        data, remote = super().can_ids()
+        emergency = self._emergency_id.value
+        return CanIds(data | {emergency & cob.CAN_ID, cob.ERROR_CONTROL + (emergency & cob.NODE_ID)}, remote)
 
     def overhear(self, frame: Frame) -> None:
         cob_id = self._emergency_id.value
@@ -101,7 +112,7 @@ class ServoDrive(MachineNode):
             return
         if frame.can_id == cob_id & cob.CAN_ID and len(frame.data) == 8:
             self.feedback.emergency(int.from_bytes(frame.data[:2], "little"))
-        elif frame.can_id == cob.ERROR_CONTROL + (cob_id & 0x7F) and frame.data == b"\x00":
+        elif frame.can_id == cob.ERROR_CONTROL + (cob_id & cob.NODE_ID) and frame.data == b"\x00":
             self.feedback.boot_up()
         else:
             return
@@ -258,13 +269,6 @@ class ServoDrive(MachineNode):
             if cob.is_valid(self.dictionary.entry(0x17FF + number, 1).value)
             and self.dictionary.entry(0x17FF + number, 2).value in EVENT_DRIVEN | {0}
         ]
-
-    def _sync_due(self) -> float | None:
-        timeout_ms = self._sync_timeout.value
-        watched = self.power in SWITCHED_ON or self.power is State.FAULT_REACTION_ACTIVE
-        if not timeout_ms or not watched or self.state is not NmtState.OPERATIONAL:
-            return None
-        return self._watched_from_s + float(timeout_ms / 1000.0)
 
     def _show(self) -> None:
         before = self._statusword.value, self._shown_error
