@@ -88,6 +88,7 @@ def test_the_fault_stays_until_it_is_reset_and_the_feedback_is_good() -> None:
     bench.control(0x80)
     assert bench.state is State.SWITCH_ON_DISABLED
     assert bench.read(0x603F) == 0
+    assert Frame(0x1B0, bytes.fromhex("5002080573")) not in bench.heard, "6041h with the error that is over"
     assert bench.emergencies() == [0x7305, 0x0000]
     place = bench.motor.revolutions
     bench.enable()

@@ -51,7 +51,6 @@ class ServoDrive(MachineNode):
         self._interval = SyncInterval()
         self._watched_from_s = 0.0
         self._stop_by_s = math.inf
-        self._shown_error = 0
         self._rpdo: int | None = None
         self._events: list[int] = []
         entry = self.dictionary.entry
@@ -190,14 +189,9 @@ class ServoDrive(MachineNode):
             self._switch(Command.RAMP_DONE)
 
     def _controlled(self) -> None:
-        before = self.power
         command = self._machine.command(self._controlword.value)
         if command is not Command.FAULT_RESET or not self.feedback.wrong:
             self._switch(command)
-        if before is State.FAULT and self.power is not State.FAULT:
-            for error in DriveError:
-                self.clear_emergency(error)
-            self._error.value = int(DriveError.NONE)
         self._supervise()
         self._show()
 
@@ -206,6 +200,10 @@ class ServoDrive(MachineNode):
         if not self._machine.go(command):
             return
         after = self.power
+        if before is State.FAULT:
+            for error in DriveError:
+                self.clear_emergency(error)
+            self._error.value = int(DriveError.NONE)
         if after in SWITCHED_ON and before not in SWITCHED_ON:
             self._watched_from_s = self.now
         if after is State.QUICK_STOP_ACTIVE:
@@ -271,7 +269,7 @@ class ServoDrive(MachineNode):
         ]
 
     def _show(self) -> None:
-        before = self._statusword.value, self._shown_error
+        before = self._statusword.value
         mode_changed = self.axis.show_mode()
         word = self.power.value | Status.VOLTAGE_ENABLED
         if self.state is NmtState.OPERATIONAL:
@@ -279,8 +277,7 @@ class ServoDrive(MachineNode):
         word |= self.axis.status(self.power is State.OPERATION_ENABLED)
         self._statusword.value = int(word)
         self._torque.value = self.axis.scaling.per_mille(self.plant.motor.torque_nm)
-        self._shown_error = self.error
-        if mode_changed or before != (self._statusword.value, self.error):
+        if mode_changed or before != self._statusword.value:
             for number in self._events:
                 self.trigger_tpdo(number, self.now)
 
