@@ -173,7 +173,6 @@ class FaultList:
                     self._open[kind] = fault
 
 
-NAN = float("nan")
 BEGIN_SAMPLES = 64
 
 
@@ -184,10 +183,10 @@ class Extreme(NamedTuple):
     below 0 it was passed. NaN before there was any value.
     """
 
-    value: float = NAN
-    limit: float = NAN
-    time_s: float = NAN
-    margin: float = NAN
+    value: float = math.nan
+    limit: float = math.nan
+    time_s: float = math.nan
+    margin: float = math.nan
 
 
 class Margins:
@@ -205,7 +204,8 @@ class Margins:
             ("residual", "amplitude_low", "amplitude_high", "acceleration_cycles", "speed_rad_s"), Extreme()
         )
         self.acceleration_rad_s2 = 0.0  # The largest.
-        self.begin_cycles = NAN  # Distance of the first samples, without whole cycles between two of them.
+        # Distance of the first samples, without whole cycles between two of them.
+        self.begin_cycles = math.nan
         self._max_speed_rad_s = max_speed_rad_s  # what the jitter allows, as the module knows it
 
     def take(self, block: Block) -> None:
@@ -262,9 +262,9 @@ LEAST_SAMPLES = 1000
 class LogDrift:
     """Cycles, without the constant part; NaN and a ``reason`` where the log does not show it."""
 
-    rms: float = float("nan")
-    peak: float = float("nan")
-    uncertainty_rms: float = float("nan")
+    rms: float = math.nan
+    peak: float = math.nan
+    uncertainty_rms: float = math.nan
     reason: str | None = None
 
 

@@ -278,20 +278,20 @@ class ModuleReplay:
         if self.begin is Begin.BOOT_UP:
             self._own = frozenset({cob.ERROR_CONTROL + node_id})
             return head
-        # Nothing in the log is the counterpart of what it sends now.
-        self._power_on(self._now, pair=False)
+        self._power_on(self._now)
         if self.begin is Begin.OPERATIONAL and node_id != UNCONFIGURED:
-            self._command(NmtCommand.START, self._now, pair=False)
+            self._command(NmtCommand.START, self._now)
+        self._own_frames.clear()  # nothing in the log is the counterpart of what it has sent now
         self._look_round()
         return head
 
-    def _power_on(self, now: float, pair: bool = True) -> None:
+    def _power_on(self, now: float) -> None:
         self._on = True
-        self._give_out(self.module.start(now), now, pair)
+        self._give_out(self.module.start(now), now)
 
-    def _command(self, command: NmtCommand, now: float, pair: bool = True) -> None:
+    def _command(self, command: NmtCommand, now: float) -> None:
         frame = Frame(0, bytes((command, self.module.node_id)), False, now)
-        self._give_out(self.module.receive(frame, now), now, pair)
+        self._give_out(self.module.receive(frame, now), now)
 
     def _take(self, batch: list[Frame]) -> None:
         """The hot path: a frame that the module does not receive costs next to nothing."""
@@ -400,12 +400,11 @@ class ModuleReplay:
             self._own_frames[can_id] = OwnFrames(lambda: pdo_fields(self.module.dictionary, can_id))
         return self._own_frames[can_id]
 
-    def _give_out(self, frames: list[Frame], now: float, pair: bool = True) -> None:
+    def _give_out(self, frames: list[Frame], now: float) -> None:
         self.sent += len(frames)
         for can_id, data, rtr, _ in frames:
             self.module.sent(can_id, now)
-            if pair:
-                (self._own_frames.get(can_id) or self._pairs(can_id)).replayed(data, now)
+            self._pairs(can_id).replayed(data, now)
             if can_id == self._emergency.value & cob.CAN_ID:
                 self.emergencies += 1
             elif data == cob.BOOT_UP and can_id > cob.ERROR_CONTROL:

@@ -13,13 +13,12 @@ from canfb.signal.limits import RPM
 
 SHOWN_FAULTS = 10
 MOVES_CYCLES = 0.1  # of the first samples: more than noise
-PER_INTERVAL = "cycles per interval²"
 # Of each margin: name, unit, factor to it, format.
 MARGINS = {
     "residual": ("residual", "cycles", 1.0, ".4f"),
     "amplitude_low": ("lowest amplitude", "counts", 1.0, ".0f"),
     "amplitude_high": ("highest amplitude", "counts", 1.0, ".0f"),
-    "acceleration_cycles": ("acceleration", PER_INTERVAL, 1.0, ".4f"),
+    "acceleration_cycles": ("acceleration", "cycles per interval²", 1.0, ".4f"),
     "speed_rad_s": ("speed", "rpm", RPM, ".1f"),
 }
 COUNTED = {
