@@ -326,7 +326,7 @@ class EncoderInterface(MachineNode):
 
     def synchronise(self, counter: int | None, now: float, waiting: Sequence[HeldRpdo]) -> int:
         sample = self._watch.sample(now)
-        if self._watch.failing:
+        if self._watch.failed_s is not None:
             self.emergency(EmergencyCode.HARDWARE, ErrorRegister.GENERIC, b"", now)
         else:
             self.clear_emergency(EmergencyCode.HARDWARE, now)

@@ -155,7 +155,6 @@ def _missing(key: str, name: str, where: str, there: list[str]) -> CanfbError:
     return ConfigError(f"source: {key}: no {name!r} {where}; there is {', '.join(there) or 'nothing'}")
 
 
-US = 1e-6
 NS_PER_100NS = 100
 
 
@@ -239,7 +238,7 @@ class IioSourceConfig(SourceConfig):
         scans = self.scans_per_sync
         picked = None if scans is None else EvenScans(self.samples_per_sync, scans)
         return surroundings.captured(
-            lambda: IioCapture(self), f"iio {self.device}", self.wait_us * US, picked
+            lambda: IioCapture(self), f"iio {self.device}", self.wait_us * 1e-6, picked
         )
 
 

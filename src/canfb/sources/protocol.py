@@ -179,12 +179,8 @@ class SourceWatch:
     def __init__(self, ask: Callable[[], Sample | None], report: Callable[[str], None]) -> None:
         self._ask = ask
         self._report = report
-        self._failed_s: float | None = None
+        self.failed_s: float | None = None  # When it failed last; None: it works.
         self.ended = False  # The source has no sample left.
-
-    @property
-    def failing(self) -> bool:
-        return self._failed_s is not None
 
     def sample(self, now: float) -> Sample | None:
         """The sample of the SYNC at ``now`` (seconds), in whole counts; None for a missed one."""
@@ -199,12 +195,12 @@ class SourceWatch:
             self._report("the source has ended: no more samples")
             return None
         except Exception as error:  # a node on a bus outlives its converter, with any error of the driver
-            first, self._failed_s = self._failed_s is None, now
+            first, self.failed_s = self.failed_s is None, now
             if first:
                 self._report(f"the source fails: {_one_line(error)}")
             return None
-        if sample is not None and self._failed_s is not None and now - self._failed_s >= SETTLED_S:
-            self._failed_s = None
+        if sample is not None and self.failed_s is not None and now - self.failed_s >= SETTLED_S:
+            self.failed_s = None
             self._report("the source works again")
         return sample
 
