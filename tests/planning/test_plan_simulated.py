@@ -32,8 +32,7 @@ from servo_kit import IDEAL_TABLE, cycles_of as cycles
 NODE, INTERFACE = 0x20, 0x10
 BIT_RATE = 1_000_000
 SYNC, ADC_PDO, POSITION_PDO, PRECISE_PDO = 0x80, 0x190, 0x1A0, 0x2A0
-Placed = Callable[[float], float]
-"""Position in cycles at a time in seconds."""
+Placed = Callable[[float], float]  # Position in cycles at a time in seconds.
 HELD, FLAGGED = 0.95, 1.05
 RPM = 2.0 * math.pi / 60.0
 GENTLE = 30.0  # rad/s^2

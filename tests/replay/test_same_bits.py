@@ -145,6 +145,9 @@ def test_other_limits_than_those_of_the_log_are_noted() -> None:
     for more, note in ((read, "other values in 2001h:04"), ([], "EMCY are not in the log")):
         log, _ = live(sorted([*plan, *more], key=lambda planned: planned[0]))
         assert note in ReplayResult(replayed(log, amplitude_high_counts=1400)[0], None, 0).notes()[0]
+    moved = [sdo_write(0x1014, 0, struct.pack("<I", cob_id)) for cob_id in (0x800000A0, 0x3A0)]
+    log, _ = live([*zip((1e-3, 2e-3), moved, strict=True), *plan], amplitude_high_counts=1400)
+    assert ReplayResult(replayed(log, amplitude_high_counts=1400)[0], None, 0).notes() == []
 
 
 @pytest.mark.parametrize("times", [False, True])

@@ -202,8 +202,7 @@ def test_a_span_outside_the_samples_is_refused(fault: Fault, start: int, stop: i
 
 RISING = (np.arange(12), -np.arange(12))
 STILL = ([100] * 12, [1000] * 12)
-KEPT = [None] * 12
-"""In place of the counts of a track: as it was."""
+KEPT = [None] * 12  # In place of the counts of a track: as it was.
 
 
 @each(

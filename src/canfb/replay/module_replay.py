@@ -249,6 +249,10 @@ class ModuleReplay:
         sync = module.dictionary.entry(*od.SYNC_COB_ID).value & cob.CAN_ID
         return (module.own_can_ids | module.can_ids().data) - EVERYBODY - {sync}
 
+    @property
+    def emergency_id(self) -> int:
+        return int(self._emergency.value & cob.CAN_ID)
+
     def feed(self, frames: list[Frame]) -> None:
         """The next frames of the log: ``timestamp`` in seconds, of any clock. No frame raises."""
         if self._head is None:
@@ -405,7 +409,7 @@ class ModuleReplay:
         for can_id, data, rtr, _ in frames:
             self.module.sent(can_id, now)
             self._pairs(can_id).replayed(data, now)
-            if can_id == self._emergency.value & cob.CAN_ID:
+            if can_id == self.emergency_id:
                 self.emergencies += 1
             elif data == cob.BOOT_UP and can_id > cob.ERROR_CONTROL:
                 self._boot_up_s = now  # the replayed module has started: with the table that is to be tried

@@ -68,7 +68,7 @@ class ReplayResult:
         more = replay.emergencies - sum(
             one.equal + one.different + one.only_recorded
             for can_id, one in compared.items()
-            if 0x80 < can_id < 0x100
+            if can_id == replay.emergency_id
         )
         moves = replay.begin is not Begin.BOOT_UP and replay.margins.begin_cycles > MOVES_CYCLES
         return those(

@@ -345,8 +345,7 @@ def test_no_frame_raises_and_no_torque_without_a_state_that_allows_it(actions: l
     event(rig.drive.power.name)
 
 
-CYCLE = UNITS / 2500
-"""Units of the drive in a cycle of the encoder."""
+CYCLE = UNITS / 2500  # Units of the drive in a cycle of the encoder.
 NO_WINDOW = 0xFFFFFFFF
 
 
