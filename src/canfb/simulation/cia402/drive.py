@@ -226,12 +226,11 @@ class ServoDrive(MachineNode):
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
         """The feedback is lost with a change; the power goes off with the end of OPERATIONAL."""
         super().state_changed(old, new, now, why)
+        self.feedback.lose()
         if new is NmtState.OPERATIONAL:
-            self.feedback.lose()
             for number in self._events:
                 self.trigger_tpdo(number, now)
         elif old is NmtState.OPERATIONAL:
-            self.feedback.lose()
             self._abort_connection(DriveError.COMMUNICATION)
             if self.power in POWERED:  # no SYNC, no position: nothing may turn
                 self._switch(Command.RAMP_DONE)  # a fault reaction takes no other command
@@ -257,7 +256,6 @@ class ServoDrive(MachineNode):
             self._power_off()
         elif self.power is State.FAULT:
             self._announce(DriveError(self.error))
-        self._show()
 
     def configuration_changed(self) -> None:
         self._rpdo = self.rpdo_with(POSITION)
