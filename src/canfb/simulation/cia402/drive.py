@@ -159,16 +159,14 @@ class ServoDrive(MachineNode):
         elif self.power is State.FAULT_REACTION_ACTIVE:  # no ramp without a position
             self._switch(Command.RAMP_DONE)
 
-    def _fail(self, error: DriveError, *, announced: bool = False) -> None:
-        ramp = self._fault_option.value if error is DriveError.FOLLOWING_ERROR else 0
-        powered = self.power in POWERED
+    def _fail(self, error: DriveError) -> None:
         if not self._machine.go(Command.FAIL):
             return
         self._error.value = int(error)
-        if not announced:
+        if error is not DriveError.HEARTBEAT:  # which the node announces itself
             self._announce(error)
         self._show()
-        if ramp and powered:
+        if error is DriveError.FOLLOWING_ERROR and self._fault_option.value == QUICK_STOP_RAMP:
             self.axis.ramp_down(from_actual=True)
             self._stop_by_s = math.inf
         else:
@@ -242,7 +240,7 @@ class ServoDrive(MachineNode):
             return
         command = ABORT_CONNECTION.get(self._abort_option.value, Command.NONE)
         if command is Command.FAIL:
-            self._fail(error, announced=error is DriveError.HEARTBEAT)
+            self._fail(error)
         else:
             self._switch(command)
 
