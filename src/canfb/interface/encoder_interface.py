@@ -209,9 +209,7 @@ class FastRecorder:
 
     def reset(self) -> None:
         self._began_s: float | None = None  # time of the node, while it records
-        self._first_s = 0.0  # time of the machine
-        self._kept = 0
-        self._rate_hz = 1.0
+        self._kept = 0  # samples, when it has stopped
 
     @property
     def is_recording(self) -> bool:
@@ -242,11 +240,10 @@ class FastRecorder:
             return
         if self._source is None:
             raise SdoAbort(AbortCode.DEVICE_STATE)
-        self.reset()
         self._number += 1
         self._rate_hz = float(self._rate.value)
         self._began_s = self._now()
-        self._first_s = self._source.machine_time(self._began_s)
+        self._first_s = self._source.machine_time(self._began_s)  # time of the machine
 
 
 EDS = "encoder-interface"
