@@ -15,7 +15,6 @@ residual limit, a the acceleration in cycles per interval squared (docs/supervis
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -179,7 +178,17 @@ class Plan:
     @cached_property
     def margins(self) -> tuple[Margin, ...]:
         """The smallest factor first."""
-        return tuple(sorted(self._margins(), key=lambda margin: margin.factor))
+        speed = self.speed_rad_s
+        found = [Margin(Limited.BUS, None, over(1.0, self.bus.load))]
+        for budget in self.budgets:
+            module = budget.module
+            if speed is not None:
+                found.append(Margin(Limited.SPEED, module, over(budget.largest_speed_rad_s, speed)))
+            if budget.asked_rad_s2 is not None:
+                limit = budget.largest_acceleration_rad_s2
+                found.append(Margin(Limited.ACCELERATION, module, over(limit, budget.asked_rad_s2)))
+            found.append(Margin(Limited.RESIDUAL, module, budget.margin))
+        return tuple(sorted(found, key=lambda margin: margin.factor))
 
     @property
     def tightest(self) -> Margin:
@@ -188,18 +197,6 @@ class Plan:
     @property
     def holds(self) -> bool:
         return all(margin.holds for margin in self.margins)
-
-    def _margins(self) -> Iterator[Margin]:
-        load, speed = self.bus.load, self.speed_rad_s
-        yield Margin(Limited.BUS, None, over(1.0, load))
-        for budget in self.budgets:
-            module = budget.module
-            if speed is not None:
-                yield Margin(Limited.SPEED, module, over(budget.largest_speed_rad_s, speed))
-            if budget.asked_rad_s2 is not None:
-                limit = budget.largest_acceleration_rad_s2
-                yield Margin(Limited.ACCELERATION, module, over(limit, budget.asked_rad_s2))
-            yield Margin(Limited.RESIDUAL, module, budget.margin)
 
 
 @dataclass(frozen=True)
