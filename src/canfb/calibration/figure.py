@@ -37,12 +37,7 @@ def change_of_figure(record: Recording, waveform: Waveform, conditioning: Condit
     counted = [number for number in WINDOWS if len(off) >= FEWEST * number]
     windows = [part for number in counted for part in np.array_split(np.arange(len(off)), number)]
     scatter = float(np.median(np.abs(off))) if windows else 0.0
-    largest = Drift()
-    for part in windows:
-        square, variance, high = _deviation(columns[:, part], off[part])
-        if square > max(scatter**2, SIGNIFICANT**2 * variance):
-            largest = max(largest, Drift(float(np.sqrt(square - variance)), high))
-    return largest
+    return max((_deviation(columns[:, part], off[part], scatter) for part in windows), default=Drift())
 
 
 def _moves(phase: FloatArray) -> BoolArray:
@@ -52,17 +47,23 @@ def _moves(phase: FloatArray) -> BoolArray:
     return moves
 
 
-def _deviation(orders: FloatArray, off: FloatArray) -> tuple[float, float, float]:
-    """Square and variance of the rms error of the phase in a window, and the largest; cycles."""
+def _deviation(orders: FloatArray, off: FloatArray, scatter: float) -> Drift:
+    """The significant error of the phase in a window, its rms beyond ``scatter``; cycles."""
     columns = np.vstack([orders, np.ones(len(off)), np.linspace(-1.0, 1.0, len(off))]).T
     if np.linalg.eigvalsh(columns.T @ columns / len(off))[0] < EVEN:
-        return 0.0, 0.0, 0.0
-    rest = np.abs(off - np.median(off))
+        return Drift()
+    rest, kept = np.abs(off - np.median(off)), np.zeros(len(off), np.bool_)
     for _ in range(3):
-        kept = rest <= OUTLIER * np.median(rest)
+        before, kept = kept, rest <= OUTLIER * np.median(rest)
+        if np.array_equal(before, kept):
+            break  # the fit would be the same
         found = np.linalg.lstsq(columns[kept], off[kept], rcond=None)[0]
         rest = np.abs(off - columns @ found)
+    square = float(np.sum(found[:4] ** 2)) / 2.0
+    if square <= scatter**2:
+        return Drift()
     noise = np.sum(rest[kept] ** 2) / (kept.sum() - len(found))
-    share = inverse(columns[kept].T @ columns[kept]).diagonal()[:4].sum()
-    high = np.hypot(*found[:2]) + np.hypot(*found[2:4])
-    return float(np.sum(found[:4] ** 2)) / 2.0, float(noise * share) / 2.0, float(high)
+    variance = float(noise * inverse(columns[kept].T @ columns[kept]).diagonal()[:4].sum()) / 2.0
+    if square <= SIGNIFICANT**2 * variance:
+        return Drift()
+    return Drift(float(np.sqrt(square - variance)), float(np.hypot(*found[:2]) + np.hypot(*found[2:4])))
