@@ -257,15 +257,15 @@ def basis(position: FloatArray, orders: tuple[int, ...]) -> FloatArray:
     """
     angle = 2.0 * np.pi * (position - np.floor(position)).ravel()
     turn = np.cos(angle) + 1j * np.sin(angle)
-    rows = np.empty((1 + 2 * len(orders), position.size))
-    rows[0] = 1.0
+    columns = np.empty((position.size, 1 + 2 * len(orders)))
+    columns[:, 0] = 1.0
     power, reached = np.ones_like(turn), 0
     for place, order in enumerate(orders):
         for _ in range(order - reached):
-            power = power * turn
+            power *= turn
         reached = order
-        rows[1 + 2 * place], rows[2 + 2 * place] = power.real, power.imag
-    return np.ascontiguousarray(rows.T).reshape(*position.shape, len(rows))
+        columns[:, 1 + 2 * place], columns[:, 2 + 2 * place] = power.real, power.imag
+    return columns.reshape(*position.shape, columns.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
