@@ -129,6 +129,7 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     phase = position - origin_of(curve)
     curve_of_errors = error_curve(phase[moving], before[moving], after[moving])
     systematic = _systematic(curve_of_errors, phase[moving], root_mean(after[moving]))
+    tracks = mean_tracks_of(fit.waveform, curve)
     found = Calibration(
         table=table_of(curve, entries),
         conditioning=conditioning,
@@ -152,10 +153,10 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         cramer_rao_ratio=max(measured, change.rms) / bound,
         cramer_rao_scatter=SCATTER if len(parts) == PARTS else SCATTER_OF_TWO,
         track_orders=fit.waveform.orders,
-        harmonics=harmonics_of(fit.waveform, conditioning, origin_of(curve), expected),
+        harmonics=harmonics_of(tracks, conditioning, expected),
         curve=curve_of_errors,
         block_samples=blocks.index.shape[1],
-        tracks=mean_tracks_of(fit.waveform, curve),
+        tracks=tracks,
     )
     return judge(found, loss)
 
@@ -223,12 +224,11 @@ def _from_smooth(blocks: Blocks, phase: FloatArray, position: FloatArray) -> Flo
 
 
 def harmonics_of(
-    waveform: Waveform, conditioning: Conditioning, origin: float, expected: float
+    tracks: FloatArray, conditioning: Conditioning, expected: float
 ) -> tuple[ErrorHarmonic, ...]:
     """Of the error of the conditioned arc tangent, beyond three times the ``expected`` one, cycles."""
-    phase = grid_phases(TRACK_POINTS)[:-1]
-    angle = np.unwrap(angle_cycles(conditioning, *waveform.tracks(phase + origin)), period=1.0)
-    spectrum = np.fft.rfft(angle - phase) / TRACK_POINTS
+    angle = np.unwrap(angle_cycles(conditioning, *tracks), period=1.0)
+    spectrum = np.fft.rfft(angle - grid_phases(TRACK_POINTS)[:-1]) / TRACK_POINTS
     found = [
         ErrorHarmonic(order, 2.0 * float(abs(spectrum[order])), float(np.angle(spectrum[order])))
         for order in range(1, HIGHEST_HARMONIC + 1)
@@ -410,6 +410,7 @@ def _finish(
 ) -> Calibration:
     waveform, odd = cycles.waveform(), cycles.cycle % 2 == 1
     curve = raw_phase_curve(waveform, cycles.conditioning)
+    tracks = mean_tracks_of(waveform, curve)
     halves = [cycles.take(np.arange(first, len(cycles), 2)).table(entries) for first in (0, 1)]
     after = cycles.off(np.where(odd, *(half.correct_array(cycles.raw) for half in halves)))
     before = cycles.off(cycles.raw)
@@ -433,9 +434,9 @@ def _finish(
             change_rms=change.rms,
             noise_counts=noise * 2.0 * np.pi * amplitude,
             noise_cycles=noise,
-            harmonics=harmonics_of(waveform, cycles.conditioning, origin_of(curve), measured),
+            harmonics=harmonics_of(tracks, cycles.conditioning, measured),
             curve=errors,
             block_samples=round(len(cycles.phase) / len(cycles)),
-            tracks=mean_tracks_of(waveform, curve),
+            tracks=tracks,
         )
     )
