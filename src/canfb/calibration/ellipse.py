@@ -54,21 +54,12 @@ def fit_ellipse(sine: ArrayLike, cosine: ArrayLike, valid: ArrayLike | None = No
     s, c = s[use], c[use]
     if len(s) < 16:
         raise CalibrationError(f"{len(s)} usable samples are too few for an ellipse", Reason.SAMPLES)
-    return _robust_fit(s, c)
-
-
-def angle_cycles(conditioning: Conditioning, sine: FloatArray, cosine: FloatArray) -> FloatArray:
-    """Arc tangent of the conditioned tracks in cycles, 0 <= angle < 1; NaN stays NaN."""
-    s, c = conditioning.apply(sine, cosine)
-    return np.asarray(np.arctan2(s, c) / (2.0 * np.pi) % 1.0 % 1.0, np.float64)
-
-
-def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
-    best, most = None, 0.5
     keep = _thinned(s, c)
+    s, c = s[keep], c[keep]
+    best, most = None, 0.5
     for margin in MARGINS:
-        start = _Box.of(s[keep], c[keep], margin)
-        fit, part = start.fit(s[keep], c[keep])
+        start = _Box.of(s, c, margin)
+        fit, part = start.fit(s, c)
         if fit is not None and part > most:
             best, most = start.conditioning(fit), part
     if best is None:
@@ -77,6 +68,12 @@ def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
             Reason.ELLIPSE,
         )
     return best
+
+
+def angle_cycles(conditioning: Conditioning, sine: FloatArray, cosine: FloatArray) -> FloatArray:
+    """Arc tangent of the conditioned tracks in cycles, 0 <= angle < 1; NaN stays NaN."""
+    s, c = conditioning.apply(sine, cosine)
+    return np.asarray(np.arctan2(s, c) / (2.0 * np.pi) % 1.0 % 1.0, np.float64)
 
 
 def _thinned(s: FloatArray, c: FloatArray) -> IntArray:

@@ -90,14 +90,13 @@ def calibrate_over_speeds(
     *,
     adc_bits: int | None = None,
     entries: int = 1024,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> SpeedCalibration:
     """Conditioning, table, 2002:06, corners and harmonics from the same encoder at several speeds.
 
     ``adc_bits`` and ``entries`` as for :func:`.from_motion.calibrate_from_motion`. CalibrationError for
     measurements that are refused, with the speed; ValueError for wrong arguments.
     """
-    report = progress or no_progress
     hertz = np.array([one.hertz for one in measured])
     if not len(measured) or not np.isfinite(hertz).all():
         raise ValueError("speeds must be finite numbers, one for each measurement")
@@ -105,14 +104,14 @@ def calibrate_over_speeds(
     found = []
     for number, one in enumerate(measured):
         found.append(_AtSpeed.of(one, adc_bits, entries))
-        report(0.7 * (number + 1) / len(measured))
+        progress(0.7 * (number + 1) / len(measured))
     path = fit_path([one.fundamental for one in found])
     found = [one.steadied(path, adc_bits, entries) for one in found]
     path = fit_path([one.fundamental for one in found])
-    report(0.95)
+    progress(0.95)
     each = [at_standstill(one.calibration, one.hertz, path, entries) for one in found]
     calibration = _judged(each[int(np.argmin(np.abs(hertz)))], each)
-    report(1.0)
+    progress(1.0)
     return SpeedCalibration(calibration, path)
 
 

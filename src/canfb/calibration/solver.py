@@ -130,7 +130,8 @@ class Solver:
         mixed = fit.noise_cycles * float(np.sqrt(len(fit.information) / fit.blocks.samples))
         if all_orders > INSEPARABLE * mixed:
             raise no_fit("the samples have too few different phases to separate the harmonics", np.inf)
-        fit = self._only_significant(fit)
+        few = _with_orders(fit, significant_orders(fit))
+        fit = _again(few, reject(fit.blocks, few))
         undetermined = all_orders if all_orders > MOST_UNDETERMINED * uncertainty(fit, self.ellipse) else 0.0
         off = max(self._off_cycles(fit), fit.noise.across / (2.0 * np.pi * self.amplitude_counts))
         telling = fit.blocks.used[fit.informative].sum()
@@ -229,10 +230,6 @@ class Solver:
             if significant_orders(fit)[-1] <= highest * 3 // 4:
                 break
         return fit
-
-    def _only_significant(self, fit: JointFit) -> JointFit:
-        few = _with_orders(fit, significant_orders(fit))
-        return _again(few, reject(fit.blocks, few))
 
 
 def _again(fit: JointFit, blocks: Blocks, rounds: int = 10) -> JointFit:
