@@ -304,6 +304,7 @@ def test_too_few_samples_and_a_dead_track_say_nothing() -> None:
     dead = tracks(0.382)
     dead.cosine[:] = 0.0
     assert lock_of(tracks(1.0, 255)) is lock_of(dead) is None
+    assert lock_of(tracks(1.0, lost=1.0)) is None, "all are missed: nor does numpy warn"
 
 
 def test_the_step_that_is_named_leads_away_from_every_lock() -> None:

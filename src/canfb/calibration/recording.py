@@ -270,7 +270,7 @@ def _intervals(time_s: ArrayLike | None, n: int) -> tuple[FloatArray, bool]:
     if time.shape != (n,) or not np.isfinite(time).all():
         raise ValueError("time_s must be finite numbers, one for each sample")
     steps = np.diff(time)
-    if n < 2 or steps.min() <= 0.0:
+    if steps.min() <= 0.0:
         raise ValueError("time_s must rise from sample to sample")
     interval = float(np.median(steps))
     return (time - time[0]) / interval, bool(np.ptp(steps) > UNEVEN * interval)
@@ -301,15 +301,15 @@ FAR = 0.03
 
 def find_lock(sine: FloatArray, cosine: FloatArray) -> Fraction | None:
     """Cycles per sample, less whole ones, of locked tracks (ADC counts, NaN for a missed sample); None
-    without a lock, or below 256 samples.
+    without a lock, below 256 samples, or if all are missed.
 
     Locked at p/q, each q-th sample lies at the same place; here for q up to 16, on windows of 256.
     """
     z = cosine + 1j * sine
     windows = len(z) // WINDOW
-    if not windows:
-        return None
     rows = z[: windows * WINDOW].reshape(windows, WINDOW)
+    if np.isnan(rows).all():
+        return None
     power = np.nanmean(np.abs(rows) ** 2)
     for q in range(1, LARGEST_DENOMINATOR + 1):
         places = rows[:, : WINDOW // q * q].reshape(windows, -1, q)
