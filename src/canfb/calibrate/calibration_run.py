@@ -62,16 +62,13 @@ Installed = tuple[Measurement, Installation]
 
 
 class Steps(Protocol):
-    """Receives the progress."""
+    """Receives the progress. It never fails."""
 
     def step(self, text: str) -> None:
         """A new step begins."""
 
     def part(self, part: float) -> None:
         """So much of the step is done, 0..1."""
-
-    def clear(self) -> None:
-        """There is something else to say."""
 
 
 class CalibrationRun:
@@ -298,8 +295,6 @@ class CalibrationRun:
             raise
         except ValueError as error:
             raise CanfbError(f"{samples.origin}: {error}") from error
-        finally:
-            self._steps.clear()
 
 
 NEAR_PART = 0.1  # of a speed: it is this one

@@ -106,7 +106,9 @@ def over_bus(
     guard: Guard,
     date: str,
 ) -> int:
-    return say_result(options, run(master, *nodes, wishes_of(options), guard, progress, date))
+    result = run(master, *nodes, wishes_of(options), guard, progress, date)
+    progress.clear()
+    return say_result(options, result)
 
 
 def wishes_of(options: argparse.Namespace) -> CommissionOptions:

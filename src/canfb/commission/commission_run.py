@@ -427,7 +427,6 @@ def commission(
             keep=wishes.save,
             step=steps.step,
         )
-    steps.clear()
     done = Commissioned(
         observed,
         limits,
