@@ -15,6 +15,7 @@ import pytest
 from calibrating import calibrate
 
 from canfb.bus.runner import ending_on_signals
+from canfb.calibrate.calibration_summary import outcome
 from canfb.calibrate.measurement import Measurement, Settings, block_of
 from canfb.calibrate.procedure import Installation, install, verify
 from canfb.calibration.deviation import best_deviation
@@ -24,6 +25,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, put_in_force_again, read_active
+from canfb.master.machine_watch import Provenance
 from canfb.master.samples import TrackSamples
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
 from commissioning_kit import Bench, bench_with, random_encoder, recorded
@@ -71,7 +73,7 @@ def test_what_is_not_saved_is_active_and_said(
     done = installed(bench, keep=False)
     assert done.saved_as is None
     assert store.images == {}
-    assert done.save_note.startswith("not saved: the table is lost")
+    assert "; not saved: the table is lost" in outcome(measured, done, Provenance("", module=0x20))
     assert read_active(bench.access) == measured.found
 
 

@@ -300,7 +300,8 @@ def outcome(measured: Measurement, done: Installation, where: Provenance) -> str
         return "measured from a file: nothing was written to a module"
     if done.fresh is None:
         return "dry run: nothing was written to the module"
-    saved = f"saved ({done.saved_as})" if done.saved_as else done.save_note
+    unsaved = "not saved: the table is lost when the module is switched off (--save)"
+    saved = f"saved ({done.saved_as})" if done.saved_as else unsaved
     return f"table {measured.calibration.table.crc32:08X}h is active and verified on fresh samples; {saved}"
 
 

@@ -5,21 +5,14 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 from canfb import objects as od
 from canfb.calibrate.measurement import Measurement, Settings, SpeedSamples, block_of, errors_at
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError, CanfbError
-from canfb.master.access import (
-    CommissioningError,
-    NodeAccess,
-    ObjectAbsentError,
-    Progress,
-    Unchanged,
-    as_real32,
-)
+from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress, Unchanged
 from canfb.master.all_or_nothing import (
     Guard,
     change,
@@ -45,13 +38,12 @@ class Installation:
     """What was done with a measurement.
 
     fresh      deviation of samples taken after the activation, None: nothing was activated
-    saved_as   object that saved it, None: not saved; save_note: why
+    saved_as   object that saved it, None: not saved
     phase_error_cycles   written to 2010:0C, None: not written
     """
 
     fresh: Deviation | None = None
     saved_as: str | None = None
-    save_note: str = ""
     phase_error_cycles: float | None = None
 
 
@@ -75,10 +67,6 @@ def install(
     declared: float | None = None  # 2010:0C before; None: not read yet, or a module without it
     as_before = f"the previous table and conditioning are active in {module.name}"
 
-    def say(text: str) -> None:
-        with contextlib.suppress(OSError):  # a terminal that has gone
-            step(text)
-
     def act() -> None:
         nonlocal declared, measured
         step("activating the table")
@@ -97,7 +85,7 @@ def install(
             done.phase_error_cycles = declare_phase_error(module, peak)
 
     def restore() -> None:
-        say("restoring the old table")
+        step("restoring the old table")
         if declared is not None:
             module.write(*od.SUPERVISION_PHASE_ERROR, "H", declared)
         if over is not None:
@@ -118,21 +106,19 @@ def install(
     except CanfbError:
         raise
     except BaseException:
-        say(as_before)
+        step(as_before)
         raise
-    say(f"the table is in force{', and saved' * (done.saved_as is not None)}")
-    if not keep:
-        done.save_note = "not saved: the table is lost when the module is switched off (--save)"
+    step(f"the table is in force{', and saved' * (done.saved_as is not None)}")
     return measured, done
 
 
 def write_corners(module: NodeAccess, corners: Corners) -> None:
+    """``corners`` are in REAL32."""
     if read_corners(module) == corners:
         return
-    values = (corners.corner_hz, corners.cosine_corner_hz)
-    for place, value in zip(CORNERS, values, strict=True):
+    for place, value in zip(CORNERS, astuple(corners), strict=True):
         module.write(*place, "f", value)
-    if read_corners(module) != Corners(*map(as_real32, values)):
+    if read_corners(module) != corners:
         raise CommissioningError(
             f"{module.name}: the corners read back (2001:05, 2001:06) differ from what was written"
         )
