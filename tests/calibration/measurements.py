@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.phase import FloatArray, raw_phases
+from canfb.signal.phase import FloatArray, IntArray, raw_phases
 from canfb.simulation.encoder import Encoder, Harmonic
 
-IntArray = npt.NDArray[np.int64]
 CYCLES_PER_REVOLUTION = 2500
 RATE_HZ = 1000.0
 PERCENT = 0.01

@@ -62,7 +62,7 @@ Installed = tuple[Measurement, Installation]
 
 
 class Steps(Protocol):
-    """Receives the progress. It never fails."""
+    """Receives the progress, never fails."""
 
     def step(self, text: str) -> None:
         """A new step begins."""
@@ -74,8 +74,8 @@ class Steps(Protocol):
 class CalibrationRun:
     """One run of the command, which does what ``choices`` say.
 
-    ``date`` is ISO 8601, the time of day behind a space. ``refused`` gets the error of a measurement that
-    is refused, before it is raised; its samples and a report are in ``choices.out`` then.
+    ``date`` is ISO 8601, the time of day behind a space. ``refused`` gets the error of a refused
+    measurement before it is raised; its samples and a report are in ``choices.out`` then.
     """
 
     def __init__(

@@ -260,7 +260,7 @@ def measure(
     progress: Progress,
     conditioning: Conditioning | None = None,
 ) -> Measurement:
-    """Calibrate; with a ``conditioning``, with this one in place of what the settings say.
+    """Calibrate; a ``conditioning`` takes precedence over that of the settings.
 
     The tracks of ``samples`` are sampled at once (:meth:`TrackSamples.together`). The delays of ``before``
     stay: one speed does not show them.

@@ -215,8 +215,7 @@ def _said(
             print(json.dumps(refusal | {"active": False, "saved": False}, indent=2))
 
     result = measure(CalibrationRun(choices_of(options), progress, date, refused))
-    progress.clear()
-    return say_result(options, result)
+    return say_result(options, result, progress)
 
 
 def choices_of(options: argparse.Namespace) -> CalibrateOptions:

@@ -106,9 +106,7 @@ def over_bus(
     guard: Guard,
     date: str,
 ) -> int:
-    result = run(master, *nodes, wishes_of(options), guard, progress, date)
-    progress.clear()
-    return say_result(options, result)
+    return say_result(options, run(master, *nodes, wishes_of(options), guard, progress, date), progress)
 
 
 def wishes_of(options: argparse.Namespace) -> CommissionOptions:

@@ -171,12 +171,11 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
         log, results = replay_log(options.log, settings, takers, sent, progress.part)
         if options.report is not None:
             write_page(options.report, log, results[0], overview)
-    progress.clear()
     about = log.counters.facts(log.trouble)
     figures = {"log": str(log.path), **as_figures(about), "modules": [one.figures() for one in results]}
     lines = [*as_lines(about), *(line for one in results for line in one.lines())]
     lines += [f"written  {path}" for path in (options.out, options.frames, options.report) if path]
-    say_result(options, Result(figures, lines))
+    say_result(options, Result(figures, lines), progress)
     return int(log.trouble is not None)
 
 

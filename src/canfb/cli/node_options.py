@@ -12,7 +12,7 @@ from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cia301 import cob
 from canfb.cli.options import JSON, TIMEOUT, add_bus_options, bus_options, chosen_bus, node_number, option
-from canfb.cli.printing import shown_progress
+from canfb.cli.printing import Progress, shown_progress
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.master.access import received
@@ -53,7 +53,10 @@ def guarded() -> Iterator[Guard]:
         yield guard
 
 
-def say_result(options: argparse.Namespace, result: Result) -> int:
+def say_result(options: argparse.Namespace, result: Result, progress: Progress | None = None) -> int:
+    """``progress`` is taken away first."""
+    if progress is not None:
+        progress.clear()
     print(json.dumps(result.figures, indent=2) if options.json else "\n".join(result.lines))
     return 0
 
