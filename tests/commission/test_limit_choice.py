@@ -166,6 +166,20 @@ def test_a_machine_that_never_stops_or_is_slow_keeps_what_it_does_not_show() -> 
     assert choices[od.SUPERVISION_RESIDUAL_LIMIT].value >= 4 * choices[od.SUPERVISION_PHASE_ERROR].value
 
 
+@each(
+    "cycles, starts", [(1.38, True), (12.9, True), (20.0, True), (62.5, True), (20.0, False), (62.5, False)]
+)
+def test_the_phase_error_is_the_whole_one_at_any_speed(cycles: float, starts: bool) -> None:
+    """An offset of 0.1 is 0.016 cycle; of a machine that turns evenly from the start on it is not known."""
+    rpm = 60.0 * cycles * RATE_HZ / N
+    machine = SimulatedMachine(Motion((Ramp(2.3, rpm), Ramp(9.0, rpm)), (), 0.0 if starts else rpm), GOOD)
+    choice = choice_of(machine, od.SUPERVISION_PHASE_ERROR, lambda one: replace(one, sine=one.sine + 150.0))
+    error = math.asin(0.1) / (2.0 * math.pi)
+    assert not choice.changes or 0.97 * error <= choice.value / 65536 / 2.0 <= 1.15 * error
+    assert choice.changes == starts
+    assert starts or "same few phases" in choice.why
+
+
 def test_a_larger_margin_gives_wider_limits() -> None:
     limits = [fresh("fast").commissioned(COUNT, margin)[1] for margin in (1.2, 2.0, 3.0)]
     residual = [one.chain_limits(1.0 / RATE_HZ).residual_limit for one in limits]

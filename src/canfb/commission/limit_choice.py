@@ -17,13 +17,20 @@ from canfb.calibrate.measurement import SupervisedSamples, supervise
 from canfb.calibration.deviation import phases_with
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.recording import positions
-from canfb.calibration.result import MOST_CHANGE_CYCLES, about_mean, changed, robust_rms
+from canfb.calibration.result import (
+    MOST_CHANGE_CYCLES,
+    THIRDS,
+    about_mean,
+    changed,
+    largest_change,
+    robust_rms,
+)
 from canfb.commission.machine_figures import (
     TELLING_CYCLES,
     MotionFigures,
     Observation,
     TrackFigures,
-    change_in_time,
+    errors_of_parts,
     low_pass_of,
     motion_figures,
     repeats_of_frozen_input,
@@ -199,6 +206,8 @@ def _phase_error(motion: MotionFigures, margin: float) -> Chosen:
             f"the machine moved by {motion.turned:.2g} cycles, at most {motion.top_speed:.2g} per sample: "
             "too little for the phases to show their errors",
         )
+    if math.isnan(motion.fitted_error):
+        return None, "the same few phases came again and again: let the machine turn at other speeds, too"
     least = CALIBRATED_PHASE_ERROR_CYCLES
     largest, why = _largest(
         (least, f": {least:g}, so that the encoder may drift from its table"),
@@ -303,7 +312,7 @@ def observe(
             "the machine stands still: nothing can be said of its acceleration; let it do its normal duty "
             "meanwhile"
         )
-    change = change_in_time(followed)
+    change = largest_change(*errors_of_parts(followed, THIRDS)).rms
     if change > MOST_CHANGE_CYCLES:
         raise CommissioningError(str(changed(f"by {change:.1e} cycle rms from one third to another")))
     gain = math.sqrt(abs(used.conditioning.sine_gain * used.conditioning.cosine_gain))

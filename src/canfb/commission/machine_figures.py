@@ -16,7 +16,6 @@ from canfb.calibrate.measurement import SupervisedSamples
 from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass, response
 from canfb.calibration.result import (
     BINS,
-    THIRDS,
     bins_of,
     largest_change,
     mean_in_bins,
@@ -47,6 +46,7 @@ class MotionFigures:
     acceleration, jerk   the largest, noise taken off
     noise                rms of the phase of a sample at the speeds at which it is largest
     residual             second difference at each sample from the third on; NaN where not known
+    fitted_error         significant error of the phase, by a fit; NaN: the same few phases came
     """
 
     slowest: float
@@ -57,6 +57,7 @@ class MotionFigures:
     jerk: float
     noise: float
     residual: FloatArray
+    fitted_error: float
 
     @property
     def top_speed(self) -> float:
@@ -72,8 +73,9 @@ class MotionFigures:
 
     @property
     def phase_error(self) -> float:
-        """The largest error of one phase beyond the motion, cycles: at most all three are off at a time."""
-        return peak(_known(self.residual - smooth_acceleration(self.residual))) / 4.0
+        """The largest of a phase, cycles: at most speeds the residual shows less than four times of it."""
+        single = peak(_known(self.residual - smooth_acceleration(self.residual))) / 4.0
+        return max(single, self.fitted_error)
 
     @property
     def residual_noise(self) -> float:
@@ -100,32 +102,42 @@ def motion_figures(samples: SupervisedSamples) -> MotionFigures:
         jerk=_largest(np.diff(acceleration), noise, np.array([1.0, -3.0, 3.0, -1.0])),
         noise=noise,
         residual=np.diff(speed) * elapsed[2:],  # eq. 9 carries the last speed on
+        fitted_error=_fitted_error(samples),
     )
 
 
 TELLING_CYCLES = 0.2  # per interval: slower, an acceleration looks like an error of the phase
-ORDERS = np.array([1, 2])  # of the error: offset; gain and phase error
+ORDERS = np.arange(1, 5)  # of the error: offset; gain and phase error; harmonics up to the third
+LEAST_TOLD = 0.01  # of an error, rms, must show in the residuals: 400 with a noise of 0.001 tell 0.005 cycle
 
 
-def change_in_time(samples: SupervisedSamples) -> float:
-    """By how much errors of the phase differ from one third of the time to another, cycles rms.
+def _fitted_error(samples: SupervisedSamples) -> float:
+    tables, noise = errors_of_parts(samples, 1)
+    fitted = largest_change(np.append(tables, np.zeros((1, BINS)), axis=0), np.append(noise, 0.0)).peak
+    return fitted if math.isfinite(noise[0]) else math.nan
 
-    As far as that is significant: of orders 1 and 2 of the phase, by least squares from the residuals.
+
+def errors_of_parts(samples: SupervisedSamples, parts: int) -> tuple[FloatArray, FloatArray]:
+    """Errors over the phase in parts of the time, by least squares from the residuals, and their noise.
+
+    Cycles, shapes (parts, BINS) and (parts,); noise inf: the same few phases came.
     """
     elapsed, speed = samples.elapsed[1:, None], samples.speed[:, None]
     columns = np.diff(np.diff(_errors(samples.position), axis=0) / elapsed, axis=0) * elapsed[1:]
     residual = (np.diff(speed, axis=0) * elapsed[1:])[:, 0]
     telling = np.flatnonzero(np.isfinite(residual) & (np.abs(speed[1:, 0]) >= TELLING_CYCLES))
-    if len(telling) < THIRDS * LEAST_OF_GROUP:
-        return 0.0
-    tables, noise = [], []
-    for part in np.array_split(telling, THIRDS):
-        inverse = np.linalg.pinv(columns[part])
-        found = inverse @ residual[part]
-        tables.append(_errors(np.arange(BINS) / BINS) @ found)
-        left = float(np.std(residual[part] - columns[part] @ found))
-        noise.append(left * float(np.linalg.norm(inverse)) / math.sqrt(2.0))
-    return largest_change(np.array(tables), np.array(noise)).rms
+    tables, noise = np.zeros((parts, BINS)), np.zeros(parts)
+    if len(telling) < parts * LEAST_OF_GROUP:
+        return tables, noise
+    for number, part in enumerate(np.array_split(telling, parts)):
+        found, _, _, sizes = np.linalg.lstsq(columns[part], residual[part], rcond=None)
+        if sizes[-1] < LEAST_TOLD * math.sqrt(len(part)):
+            noise[number] = math.inf
+        else:
+            left = float(np.std(residual[part] - columns[part] @ found))
+            tables[number] = _errors(np.arange(BINS) / BINS) @ found
+            noise[number] = left * float(np.linalg.norm(1.0 / sizes)) / math.sqrt(2.0)
+    return tables, noise
 
 
 def _errors(position: FloatArray) -> FloatArray:
