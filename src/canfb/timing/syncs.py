@@ -59,7 +59,6 @@ class Syncs:
 
     __slots__ = (
         "_assumed",
-        "_counter",
         "_earliest_s",
         "_grouped",
         "_high_s",
@@ -114,8 +113,7 @@ class Syncs:
         # So late is a SYNC without receive time that others may be lost before it; 0.0: it is in time.
         self.late_s = 0.0
         self.synced_s = self._received_s = 0.0  # the last one, and with extra ones
-        self._counter: int | None = None
-        self._next_counter: int | None = None
+        self._next_counter: int | None = None  # None: the last SYNC had none
         self._grouped, self._earliest_s = 0, inf
         self._valid_s = inf  # from a SYNC to `until`
         self._low_s, self._high_s = inf, -inf  # off the place, of a SYNC that needs no judgement
@@ -133,11 +131,11 @@ class Syncs:
             if verdict.extra:
                 self._look_ahead()
                 return verdict
-            self._counter = self._next_counter = counter
+            self._next_counter = counter
         self.place += 1
         self.synced_s = self._received_s = time_s
         if counter is not None:
-            self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
+            self._next_counter = 1 if counter == self.overflow else counter + 1
         if places:
             self._grouped += 1
             if stamped:
@@ -167,7 +165,7 @@ class Syncs:
     def _look_ahead(self) -> None:
         grid = self.grid
         self._low_s, self._high_s = inf, -inf
-        counted = self._counter is not None and self.overflow > 1
+        counted = self._next_counter is not None and self.overflow > 1
         # With one period alone, the next may be late.
         late_s = grid.allowed if self._periods == 1 else 0.0
         self._valid_s = self._periods * (grid.period or UNSETTLED_S) + late_s
@@ -195,9 +193,9 @@ class Syncs:
 
     def _missing(self, counter: int | None) -> int | None:
         """SYNCs before this one by the counter, modulo its turn; None: nothing is known."""
-        if counter is None or self._counter is None or self.overflow < 2:
+        if counter is None or self._next_counter is None or self.overflow < 2:
             return None
-        return (counter - self._counter - 1) % self.overflow
+        return (counter - self._next_counter) % self.overflow
 
     def _taken(self, stamped: bool, lost: int, off: float = 0.0, doubt: float = 0.0) -> Judged:
         self.stamped, self.begun, self.extra_came = stamped, True, False
@@ -305,9 +303,8 @@ class Syncs:
         self._low_s, self._high_s = inf, -inf
         self.synced_s += intervals * grid.period
         grid.skip(intervals)
-        if self._counter is not None and self.overflow > 1:
-            counter = (self._counter - 1 + intervals) % self.overflow + 1
-            self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
+        if self._next_counter is not None and self.overflow > 1:
+            self._next_counter = (self._next_counter - 1 + intervals) % self.overflow + 1
         self.until = self.synced_s + self._valid_s
 
     def overdue(self, now: float, timed: bool = False) -> bool:
