@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od import eds
-from canfb.device.od.eds import ACCESS, Description
+from canfb.device.od.eds import Description
 from canfb.errors import saying
 
 READABLE = frozenset({"ro", "rw", "rwr", "rww", "const"})
@@ -19,6 +20,7 @@ TPDO_ACCESS = frozenset({"ro", "rw", "rwr", "const"})
 RPDO_ACCESS = frozenset({"wo", "rw", "rww"})
 
 
+@dataclass(slots=True, eq=False)
 class Entry:
     """A sub-index of the object dictionary (CiA 301, 7.4).
 
@@ -31,60 +33,30 @@ class Entry:
     the default.
     """
 
-    __slots__ = (
-        "access",
-        "data_type",
-        "default",
-        "follows_node_id",
-        "high",
-        "index",
-        "low",
-        "name",
-        "on_check",
-        "on_download",
-        "on_read",
-        "on_written",
-        "pdo_mappable",
-        "subindex",
-        "value",
-    )
-
+    index: int
+    subindex: int
+    data_type: int
+    _: KW_ONLY
+    name: str = ""
+    access: str = "rw"
+    default: Any = None
+    low: float | None = None
+    high: float | None = None
+    pdo_mappable: bool = False
+    follows_node_id: bool = False
+    on_read: Callable[[], Any] | None = field(default=None, init=False)
+    on_check: Callable[[Any], None] | None = field(default=None, init=False)
+    on_written: Callable[[], None] | None = field(default=None, init=False)
+    on_download: Callable[[], None] | None = field(default=None, init=False)
     # A hot slot of the type of the object; each reader knows its own.
-    value: Any
+    value: Any = field(init=False)
 
-    def __init__(
-        self,
-        index: int,
-        subindex: int,
-        data_type: int,
-        *,
-        name: str = "",
-        access: str = "rw",
-        default: Any = None,
-        low: float | None = None,
-        high: float | None = None,
-        pdo_mappable: bool = False,
-        follows_node_id: bool = False,
-    ) -> None:
-        where = f"{index:04X}h:{subindex:02X}"
-        if data_type not in datatypes.KNOWN:
-            raise ValueError(f"{where} has the unknown data type {data_type:#06x}; see CiA 301, 7.4.7")
-        if access not in ACCESS:
-            raise ValueError(f"{where} has access {access!r}; use one of {', '.join(sorted(ACCESS))}")
-        self.index = index
-        self.subindex = subindex
-        self.name = name
-        self.data_type = int(data_type)
-        self.access = access
-        self.default = default
-        self.low = low
-        self.high = high
-        self.pdo_mappable = pdo_mappable
-        self.follows_node_id = follows_node_id
-        self.on_read: Callable[[], Any] | None = None
-        self.on_check: Callable[[Any], None] | None = None
-        self.on_written: Callable[[], None] | None = None
-        self.on_download: Callable[[], None] | None = None
+    def __post_init__(self) -> None:
+        if self.data_type not in datatypes.KNOWN:
+            raise ValueError(
+                f"{self.index:04X}h:{self.subindex:02X} has the unknown data type {self.data_type:#06x}; see "
+                "CiA 301, 7.4.7"
+            )
         self.reset()
 
     def __repr__(self) -> str:
