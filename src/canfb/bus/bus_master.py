@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import can
 import canopen
@@ -28,15 +27,13 @@ class BusMaster:
         self._answer_within_s = answer_within_s
         self._network = _Network(bus)
         self._clients: dict[int, SharedClient] = {}
-        self._syncs: list[Any] = []
 
     def __enter__(self) -> BusMaster:
         self._network.connect()
         return self
 
     def __exit__(self, *raised: object) -> None:
-        for task in self._syncs:
-            task.stop()
+        self._bus.stop_all_periodic_tasks()
         if self._network.notifier is not None:
             self._network.notifier.stop(STOP_S)
         self._bus.shutdown()
@@ -61,7 +58,7 @@ class BusMaster:
     def produce_sync(self, rate_hz: float) -> None:
         message = can.Message(arbitration_id=cob.SYNC, is_extended_id=False)
         with saying(BusError, "the SYNC cannot be produced", can.CanError, OSError):
-            self._syncs.append(self._bus.send_periodic(message, 1.0 / rate_hz))
+            self._bus.send_periodic(message, 1.0 / rate_hz)
 
     def now(self) -> float:
         return time.monotonic()
