@@ -27,7 +27,7 @@ from canfb.device.nmt_slave import (
     error_behaviour,
 )
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.sdo.server import SdoChannel, channel_indices
+from canfb.device.sdo.server import SdoServer, channel_indices
 from canfb.device.storage.storage import Storage, Store
 from canfb.device.sync import Pdos, Sync, TimeStamp
 
@@ -67,7 +67,7 @@ class Services:
         self.guarding = NodeGuarding(core, self.producer)
         self.consumer = HeartbeatConsumer(core)
         self.time_stamp = TimeStamp(core)
-        self.channels = [SdoChannel(core, index) for index in channel_indices(core.dictionary)]
+        self.sdo_servers = [SdoServer(core, index) for index in channel_indices(core.dictionary)]
         self.pdos = Pdos(core)
         self.sync = Sync(core, self.pdos)
 
@@ -81,7 +81,7 @@ class Services:
             self.guarding,
             *self.consumer.monitors,
             self.emergency,
-            *(channel.server for channel in self.channels),
+            *self.sdo_servers,
         ]
 
     def configure(self, now: float) -> None:
@@ -89,8 +89,8 @@ class Services:
         self.guarding.configure(now)
         self.consumer.configure(now)
         self.sync.configure()
-        for channel in self.channels:
-            channel.configure()
+        for server in self.sdo_servers:
+            server.configure()
 
     def forget(self) -> None:
         self.emergency.reset()
@@ -120,8 +120,8 @@ class Services:
         self._allow_emergency(now)
 
     def _drop_transfers(self) -> None:
-        for channel in self.channels:
-            channel.server.drop()
+        for server in self.sdo_servers:
+            server.drop()
 
     def _allow_emergency(self, now: float) -> None:
         self.emergency.enable(self._core.state in COMMUNICATING and not self._silence.active, now)
@@ -139,8 +139,8 @@ class Services:
         if state in COMMUNICATING:
             routes.add(self.sync.can_id, self.sync.drop if self.sync.generates else self.sync.handle)
             routes.add(self.time_stamp.can_id, self.time_stamp.handle)
-            for channel in [] if self._silence.active else self.channels:  # no answer: nothing is written
-                routes.add(channel.request_id, channel.server.handle)
+            for server in [] if self._silence.active else self.sdo_servers:  # no answer: nothing is written
+                routes.add(server.request_id, server.handle)
         if state is NmtState.OPERATIONAL:
             self.pdos.add_routes(routes)
         for can_id in self.own_can_ids():
@@ -164,7 +164,7 @@ class Services:
         Those that it also listens to are not among them, except boot-up and heartbeat.
         """
         sent = {
-            *(channel.response_id for channel in self.channels),
+            *(server.response_id for server in self.sdo_servers),
             self.emergency.can_id,
             *(tpdo.parameters.configured_can_id for tpdo in self.pdos.tpdos.values()),
         }
@@ -183,7 +183,7 @@ class Services:
             self.sync.can_id,
             self.time_stamp.can_id,
             *self.consumer.routes(),
-            *(channel.request_id for channel in self.channels),
+            *(server.request_id for server in self.sdo_servers),
             *(rpdo.parameters.configured_can_id for rpdo in self.pdos.rpdos.values()),
         }
 

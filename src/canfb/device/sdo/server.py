@@ -26,20 +26,26 @@ from canfb.device.sdo.transfer import (
 )
 
 TIMEOUT_S = 1.0  # How long a client may be silent within a transfer, seconds.
+FIRST_INDEX = 0x1200
+LAST_INDEX = 0x127F
 
 _FRAME_LENGTH = 8
+_DYNAMIC = 1 << 30
 
 
 class SdoServer(Timed):
-    """Serves one client at a time; each channel has its own transfer and time-out.
+    """One channel, with the COB-IDs of `index`; it exists while both are valid. The first is always there.
 
-    A request that is not 8 bytes long is ignored; a new one within a transfer gives the old one up.
+    Serves one client at a time, with a transfer and a time-out of its own. A request that is not 8 bytes long
+    is ignored; a new one within a transfer gives the old one up.
     """
 
-    def __init__(self, core: Core) -> None:
-        # The CAN-ID of the answers; that of the first channel, unless another one is given.
-        self.response_id = cob.SDO_RESPONSE + core.node_id
+    def __init__(self, core: Core, index: int) -> None:
         self._core = core
+        self._index = index
+        self._request = core.dictionary.assumed(index, 1, cob.NOT_VALID)
+        self._response = core.dictionary.assumed(index, 2, cob.NOT_VALID)
+        self._answer_id = cob.SDO_RESPONSE + core.node_id
         self._transfer: Transfer | None = None
         self._pending: Pending | None = None
         self._begin: dict[int, Callable[[bytes], Transfer | None]] = {
@@ -48,6 +54,32 @@ class SdoServer(Timed):
             BLOCK_UPLOAD: self._block_upload,
             BLOCK_DOWNLOAD: self._block_download,
         }
+        if index != FIRST_INDEX:
+            for entry in (self._request, self._response):
+                entry.on_check = partial(_check_cob_id, entry)
+                entry.on_written = self._cob_id_written
+            self.configure()
+
+    @property
+    def request_id(self) -> int | None:
+        if self._index == FIRST_INDEX:
+            return cob.SDO_REQUEST + self._core.node_id
+        if not (cob.is_valid(self._request.value) and cob.is_valid(self._response.value)):
+            return None
+        return int(self._request.value & cob.CAN_ID)
+
+    @property
+    def response_id(self) -> int | None:
+        return None if self.request_id is None else self._answer_id
+
+    def configure(self) -> None:
+        self.drop()
+        if self._index != FIRST_INDEX and self.request_id is not None:  # else that of the last answer stays
+            self._answer_id = self._response.value & cob.CAN_ID
+
+    def _cob_id_written(self) -> None:
+        self.configure()
+        self._core.reactions.routes_changed()
 
     def drop(self) -> None:
         self._transfer = None
@@ -96,7 +128,7 @@ class SdoServer(Timed):
     def _reply(self, payload: bytes) -> None:
         pending = self._core.pending
         if pending is None:
-            self._core.emit(Frame(self.response_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
+            self._core.emit(Frame(self._answer_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
         else:
             self._core.pending, self._pending = None, pending
             pending.on_end = partial(self._written, self._multiplexer, payload)
@@ -165,49 +197,6 @@ class SdoServer(Timed):
         announced = int.from_bytes(data[4:8], "little") if command & 0x02 else None
         with_crc = bool(command & CRC_SUPPORTED)
         return BlockDownload(data[1:4], entry, announced, with_crc=with_crc, reply=self._reply)
-
-
-FIRST_INDEX = 0x1200
-LAST_INDEX = 0x127F
-
-_DYNAMIC = 1 << 30
-
-
-class SdoChannel:
-    """One SDO server with its two COB-IDs; it exists while both are valid. The first is always there."""
-
-    def __init__(self, core: Core, index: int) -> None:
-        self._core = core
-        self._index = index
-        self._request = core.dictionary.assumed(index, 1, cob.NOT_VALID)
-        self._response = core.dictionary.assumed(index, 2, cob.NOT_VALID)
-        self.server = SdoServer(core)
-        if index != FIRST_INDEX:
-            for entry in (self._request, self._response):
-                entry.on_check = partial(_check_cob_id, entry)
-                entry.on_written = self._written
-            self.configure()
-
-    @property
-    def request_id(self) -> int | None:
-        if self._index == FIRST_INDEX:
-            return cob.SDO_REQUEST + self._core.node_id
-        if not (cob.is_valid(self._request.value) and cob.is_valid(self._response.value)):
-            return None
-        return int(self._request.value & cob.CAN_ID)
-
-    @property
-    def response_id(self) -> int | None:
-        return None if self.request_id is None else self.server.response_id
-
-    def configure(self) -> None:
-        self.server.drop()
-        if self._index != FIRST_INDEX and self.request_id is not None:  # else that of the last answer stays
-            self.server.response_id = self._response.value & cob.CAN_ID
-
-    def _written(self) -> None:
-        self.configure()
-        self._core.reactions.routes_changed()
 
 
 def _check_cob_id(entry: Entry, value: int) -> None:
