@@ -332,8 +332,8 @@ class ErrorReports(Protocol):
         source: Hashable = None,
         *,
         again: bool = False,
-    ) -> None:
-        """An error of `source` appeared."""
+    ) -> bool:
+        """An error of `source` appeared; False if it was there already."""
 
     def clear(self, code: int, now: float, source: Hashable = None) -> None:
         """The error is gone."""

@@ -64,16 +64,18 @@ class Emergency(Timed):
         source: Hashable = None,
         *,
         again: bool = False,
-    ) -> None:
-        """An error appeared: 1001h, 1003h and EMCY. Nothing if it is active, unless ``again``.
+    ) -> bool:
+        """An error appeared: 1001h, 1003h and EMCY. Nothing, and False, if it is active, unless ``again``.
 
         `register_bits` are bits of 1001h, `manufacturer` up to 5 bytes. `source` None: the program.
         """
         key = (int(code), source)
-        if again or key not in self._active:
-            self._active[key] = int(register_bits | ErrorRegister.GENERIC)
-            self._remember(int(code), manufacturer)
-            self._send(int(code), manufacturer, now)
+        if key in self._active and not again:
+            return False
+        self._active[key] = int(register_bits | ErrorRegister.GENERIC)
+        self._remember(int(code), manufacturer)
+        self._send(int(code), manufacturer, now)
+        return True
 
     def clear(self, code: int, now: float, source: Hashable = None) -> None:
         if self._active.pop((int(code), source), None) is not None:

@@ -62,7 +62,6 @@ class Services:
         self._silence = silence
         self.emergency = core.emergency = Emergency(core)  # first: the others report to it
         self.reaction = error_behaviour(core.dictionary)
-        self._duplicate_reported = False
         self.producer = HeartbeatProducer(core)
         self.guarding = NodeGuarding(core, self.producer)
         self.consumer = HeartbeatConsumer(core)
@@ -85,16 +84,12 @@ class Services:
         ]
 
     def configure(self, now: float) -> None:
-        self.forget()
+        self.emergency.reset()
         self.guarding.configure(now)
         self.consumer.configure(now)
         self.sync.configure()
         for server in self.sdo_servers:
             server.configure()
-
-    def forget(self) -> None:
-        self.emergency.reset()
-        self._duplicate_reported = False
 
     def enter(self, old: NmtState, new: NmtState, now: float) -> None:
         """What a NMT state allows and forbids (CiA 301, 7.3.2.2.5)."""
@@ -152,10 +147,8 @@ class Services:
         The first one after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4. The NMT state stays.
         """
         self._core.counters.duplicate_frames += 1
-        if not self._duplicate_reported:
-            self._duplicate_reported = True
-            code, detail = EmergencyCode.CAN_ID_COLLISION, can_id.to_bytes(2, "little")
-            self.emergency.report(code, ErrorRegister.COMMUNICATION, detail, now, _DUPLICATE)
+        code, detail = EmergencyCode.CAN_ID_COLLISION, can_id.to_bytes(2, "little")
+        if self.emergency.report(code, ErrorRegister.COMMUNICATION, detail, now, _DUPLICATE):
             self._core.application.duplicate_received(can_id, now)
 
     def own_can_ids(self) -> frozenset[int]:
@@ -241,7 +234,7 @@ class LifeCycle(Reactions):
             self._make_services()
         self.lss.reset()
         if self.core.node_id == UNCONFIGURED:
-            self.services.forget()
+            self.services.emergency.reset()
             self.routes_changed()
             return
         self.storage.restore(communication_only=communication_only)
