@@ -99,26 +99,15 @@ class Services:
         if operational or old is NmtState.OPERATIONAL:
             self.pdos.enable(operational, now)
         if new not in COMMUNICATING:
-            self._drop_transfers()
+            self.drop_transfers()
         self.sync.enable(new in COMMUNICATING, now)
-        self._allow_emergency(now)
+        self.allow_emergency(now)
 
-    def silenced(self, now: float) -> None:
-        """SDO transfers are given up, EMCY waits."""
-        self._drop_transfers()
-        self._allow_emergency(now)
-
-    def silence_ended(self, now: float) -> None:
-        """A boot-up that fell into it, then EMCY."""
-        if self._silence.boot_up_pending:
-            self.producer.boot_up(now)
-        self._allow_emergency(now)
-
-    def _drop_transfers(self) -> None:
+    def drop_transfers(self) -> None:
         for server in self.sdo_servers:
             server.drop()
 
-    def _allow_emergency(self, now: float) -> None:
+    def allow_emergency(self, now: float) -> None:
         self.emergency.enable(self._core.state in COMMUNICATING and not self._silence.active, now)
 
     def route(self) -> None:
@@ -299,16 +288,20 @@ class LifeCycle(Reactions):
             self.core.routes.add(NMT, self.command)
 
     def bit_rate_activated(self, kbit_s: int, delay_s: float) -> None:
-        """Silence; the program changes the bit rate."""
+        """Silence: SDO transfers end, EMCY waits, the program changes the bit rate."""
         now = self.core.call.now
         if delay_s:
             self.silence.begin(now + 2 * delay_s)
-            self.services.silenced(now)
+            self.services.drop_transfers()
+            self.services.allow_emergency(now)
             self.routes_changed()
         self.core.application.bit_rate_activated(kbit_s, delay_s, now)
 
     def silence_ended(self, now: float) -> None:
-        self.services.silence_ended(now)
+        """A boot-up that fell into it, then EMCY."""
+        if self.silence.boot_up_pending:
+            self.services.producer.boot_up(now)
+        self.services.allow_emergency(now)
         self.routes_changed()
 
     def lss_left(self, now: float) -> None:
