@@ -14,7 +14,6 @@ import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import canopen
 from canopen.sdo.client import SdoClient
@@ -92,9 +91,7 @@ class SharedClient(SdoClient):
         answer_within_s: float,
         turn: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
     ) -> None:
-        inherited: Any = super()
-        dictionary: Any = canopen.ObjectDictionary
-        inherited.__init__(cob.SDO_REQUEST + node_id, cob.SDO_RESPONSE + node_id, dictionary())
+        super().__init__(cob.SDO_REQUEST + node_id, cob.SDO_RESPONSE + node_id, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
         self.RESPONSE_TIMEOUT = answer_within_s
         self.network = network
         self.turn = turn
