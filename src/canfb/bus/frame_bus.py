@@ -128,18 +128,14 @@ class Reception:
             if message is None:
                 self._interface.bind()
         except (can.CanError, OSError) as error:
-            self.failed(error)
+            if not self._lasts and not self._interface.comes_back(error):
+                raise BusError(f"{BUS_FAILS}: {reason(error)}") from error
+            if self._watch.failed(error, self._clock()):
+                self._sleep(RETRY_S)
             return None
         if message is not None and self._watch.failed_s is not None:
             self._watch.worked(self._clock())
         return message
-
-    def failed(self, error: Exception) -> None:
-        """Outlast a failure, of sending too; or BusError."""
-        if not self._lasts and not self._interface.comes_back(error):
-            raise BusError(f"{BUS_FAILS}: {reason(error)}") from error
-        if self._watch.failed(error, self._clock()):
-            self._sleep(RETRY_S)
 
 
 # Buses of python-can that hand out what was sent through them, and say so (`is_rx` is false). SocketCAN and
