@@ -30,8 +30,7 @@ Held = tuple[int, float, Any]  # So many held back in so many seconds, and the l
 class _Window:
     began_s: float
     length_s: float = WINDOW_S
-    passed: int = 0
-    held: int = 0
+    count: int = 0
     last: Any = None
 
 
@@ -43,12 +42,9 @@ class Throttle:
 
     def admits(self, key: Hashable, item: Any, now: float) -> bool:
         window = self._windows.setdefault(key, _Window(now))
-        if window.passed < BURST:
-            window.passed += 1
-            return True
-        window.held += 1
+        window.count += 1
         window.last = item
-        return False
+        return window.count <= BURST
 
     def ended(self, now: float, *, closing: bool = False) -> list[Held]:
         """What was held back in windows that are over; ``closing``: in all."""
@@ -56,8 +52,9 @@ class Throttle:
         for key, window in list(self._windows.items()):
             if closing or now - window.began_s >= window.length_s:
                 del self._windows[key]
-                if window.held:
-                    found.append((window.held, now - window.began_s, window.last))
+                held = window.count - BURST
+                if held > 0:
+                    found.append((held, now - window.began_s, window.last))
                     if not closing:
                         length_s = min(2.0 * window.length_s, LONGEST_WINDOW_S)
                         self._windows[key] = _Window(now, length_s, BURST)
