@@ -62,7 +62,7 @@ class Dispatch:
         self.remote: dict[int, Ports] = {}
         self.everyone = tuple(port for port in self.ports if not port.moved)
         self._bus = bus
-        self._accepts_all = bool(self.everyone)
+        self._accepts_all = False
         for port in self.ports:
             if isinstance(port.device, Selective):
                 port.device.follow_can_ids(partial(self._has_moved, port))
@@ -88,13 +88,12 @@ class Dispatch:
         self._set_filters()
 
     def accept_all(self, enabled: bool) -> None:
-        enabled = enabled or bool(self.everyone)
         if enabled is not self._accepts_all:
             self._accepts_all = enabled
             self._set_filters()
 
     def _set_filters(self) -> None:
-        if self._accepts_all:
+        if self._accepts_all or self.everyone:
             self._bus.accept(None, ())
         else:
             self._bus.accept(self.data, self.remote)
