@@ -200,8 +200,7 @@ class LifeCycle(Reactions):
 
     def _make_services(self) -> None:
         self.services = Services(self.core, self.silence)
-        writing = self.storage.writing
-        self.core.agenda.fill([*([] if writing is None else [writing]), *self.services.timed()])
+        self.core.agenda.fill([self.storage, *self.services.timed()])
 
     def power_on(self, now: float) -> None:
         self.node_id_at_power_on()

@@ -54,39 +54,6 @@ class BackgroundStore(Store, Protocol):
         """What has ended since: None for kept, or why not."""
 
 
-class Writing(Timed):
-    """Gives changes to a store one by one."""
-
-    def __init__(self, store: Store, now: Callable[[], float]) -> None:
-        self.store = store
-        self._background = store if isinstance(store, BackgroundStore) else None
-        self._now = now
-        self.waiting: deque[Done] = deque()
-
-    def write(self, changes: Changes, done: Done) -> None:
-        """Keep `changes` and call `done`, now or in a later :meth:`tick`. EBUSY if too many wait."""
-        if self._background is not None:
-            if len(self.waiting) >= MOST_WAITING:
-                done(OSError(errno.EBUSY, "the store is still writing"))
-                return
-            self._background.begin(changes)
-            self.waiting.append(done)
-            self.deadline = self._now() + POLL_S
-            return
-        try:
-            self.store.save(changes)
-        except OSError as error:
-            done(error)
-        else:
-            done(None)
-
-    def tick(self, now: float) -> None:
-        ended = () if self._background is None else self._background.ended()
-        for error in ended:
-            self.waiting.popleft()(error)
-        self.deadline = now + POLL_S if self.waiting else NEVER
-
-
 SAVE, LOAD, VERIFY = 0x1010, 0x1011, 0x1020
 ALL_PARAMETERS = 1
 SAVE_SIGNATURE = int.from_bytes(b"save", "little")
@@ -118,8 +85,8 @@ def keep(images: dict[ParameterGroup, bytes], changes: Mapping[ParameterGroup, b
             images[group] = image
 
 
-class Storage:
-    """The parameters of one device in a `Store`.
+class Storage(Timed):
+    """The parameters of one device in a `Store`, which gets changes one by one.
 
     `entries` are the stored parameters. `faults` says by group why stored ones were refused: their defaults
     are used until the group is saved or its defaults are loaded. Without a store nothing is kept: 1010h reads
@@ -131,7 +98,9 @@ class Storage:
         self._dictionary = dictionary = core.dictionary
         self.entries = KeptEntries(dictionary, self.configuration_changed)
         self.faults: dict[ParameterGroup, str] = {}
-        self.writing = None if store is None else Writing(store, lambda: core.call.now)
+        self._store = store
+        self._background = store if isinstance(store, BackgroundStore) else None
+        self._waiting: deque[Done] = deque()
         self._images: dict[ParameterGroup, bytes] = {}
         self._verify = [dictionary.assumed(VERIFY, subindex) for subindex in (1, 2)]
         self._install(SAVE, SAVES_ON_COMMAND if store is not None else 0, SAVE_SIGNATURE, self._save)
@@ -141,14 +110,14 @@ class Storage:
 
     @property
     def is_there(self) -> bool:
-        return self.writing is not None
+        return self._store is not None
 
     def power_on(self) -> None:
         self._images, self.faults = {}, {}
-        if self.writing is None:
+        if self._store is None:
             return
         try:
-            kept = self.writing.store.load()
+            kept = self._store.load()
         except OSError as error:
             kept = dict.fromkeys(PARAMETERS, error)
         for group, image in kept.items():
@@ -211,9 +180,10 @@ class Storage:
 
     def _load(self, subindex: int) -> None:
         # What is on its way into the store may be in any group.
-        busy = self.writing is not None and bool(self.writing.waiting)
         there = [
-            group for group in _groups(subindex) if busy or group in self._images or group in self.faults
+            group
+            for group in _groups(subindex)
+            if self._waiting or group in self._images or group in self.faults
         ]
         self._command(dict.fromkeys(there), self.configuration_changed)
 
@@ -239,12 +209,32 @@ class Storage:
             raise SdoAbort(pending.code)
 
     def _keep(self, changes: Changes, done: Done) -> None:
+        """Keep `changes` and call `done`, now or in a later :meth:`tick`. EBUSY if too many wait."""
         if not changes:
             done(None)
-        elif self.writing is None:
-            done(OSError("there is no store"))
-        else:
-            self.writing.write(changes, partial(self._written, changes, done))
+        elif self._background is not None:
+            self._begin(self._background, changes, partial(self._written, changes, done))
+        elif self._store is not None:  # without one, 1010h and LSS refuse before
+            try:
+                self._store.save(changes)
+            except OSError as error:
+                self._written(changes, done, error)
+            else:
+                self._written(changes, done, None)
+
+    def _begin(self, store: BackgroundStore, changes: Changes, written: Done) -> None:
+        if len(self._waiting) >= MOST_WAITING:
+            written(OSError(errno.EBUSY, "the store is still writing"))
+            return
+        store.begin(changes)
+        self._waiting.append(written)
+        self.deadline = self._core.call.now + POLL_S
+
+    def tick(self, now: float) -> None:
+        ended = () if self._background is None else self._background.ended()
+        for error in ended:
+            self._waiting.popleft()(error)
+        self.deadline = now + POLL_S if self._waiting else NEVER
 
     def _written(self, changes: Changes, done: Done, error: OSError | None) -> None:
         now, application = self._core.call.now, self._core.application
