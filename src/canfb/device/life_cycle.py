@@ -23,8 +23,8 @@ from canfb.device.nmt_slave import (
     HeartbeatConsumer,
     HeartbeatProducer,
     NodeGuarding,
-    Startup,
     error_behaviour,
+    startup,
 )
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.sdo.server import SdoServer, channel_indices
@@ -193,7 +193,7 @@ class LifeCycle(Reactions):
     ) -> None:
         self.core = core = Core(dictionary, node_id, application, self, sdo_timeout_s=sdo_timeout_s)
         self.storage = Storage(core, store)
-        self.startup = Startup(dictionary, autostart=autostart)
+        self._goes_on = startup(dictionary, autostart=autostart)
         self.silence = Silence(self)
         self.lss = LssSlave(core, self.storage, bit_rates_kbit_s)
         self._make_services()
@@ -233,7 +233,7 @@ class LifeCycle(Reactions):
             self.storage.report_faults()
         self.services.producer.boot_up(now)
         self.enter(NmtState.PRE_OPERATIONAL, now)
-        if self.startup.autostart:
+        if self._goes_on():
             self.enter(NmtState.OPERATIONAL, now)
 
     def command(self, data: bytes, now: float) -> None:

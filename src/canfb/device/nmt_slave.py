@@ -34,22 +34,17 @@ REACTION = {
 WAIT_FOR_MASTER = 1 << 2  # Bit 2 of 1F80h: the node does not go to OPERATIONAL by itself.
 
 
-class Startup:
-    """Object 1F80h (CiA 302-2): the node goes on to OPERATIONAL by itself unless bit 2 is set.
+def startup(dictionary: Dictionary, *, autostart: bool) -> Callable[[], bool]:
+    """Object 1F80h (CiA 302-2): whether the node goes on to OPERATIONAL by itself: bit 2 is 0.
 
     `autostart` takes bit 2 out of the default value, so that a stored value comes first.
     """
-
-    def __init__(self, dictionary: Dictionary, *, autostart: bool) -> None:
-        self._entry = entry = dictionary.assumed(0x1F80, value=WAIT_FOR_MASTER)
-        entry.on_check = refuse_if(lambda value: value & ~WAIT_FOR_MASTER)  # the rest is for masters
-        if autostart:
-            entry.default = (entry.default or 0) & ~WAIT_FOR_MASTER
-            entry.value &= ~WAIT_FOR_MASTER
-
-    @property
-    def autostart(self) -> bool:
-        return not self._entry.value & WAIT_FOR_MASTER
+    entry = dictionary.assumed(0x1F80, value=WAIT_FOR_MASTER)
+    entry.on_check = refuse_if(lambda value: value & ~WAIT_FOR_MASTER)  # the rest is for masters
+    if autostart:
+        entry.default = (entry.default or 0) & ~WAIT_FOR_MASTER
+        entry.value &= ~WAIT_FOR_MASTER
+    return lambda: not entry.value & WAIT_FOR_MASTER
 
 
 def error_behaviour(dictionary: Dictionary) -> Callable[[NmtState], NmtState]:
