@@ -7,7 +7,6 @@ import queue
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import can
 
@@ -94,9 +93,6 @@ class _Branch(can.BusABC):
         if isinstance(item, Exception):
             raise item
         return item, False
-
-    def _apply_filters(self, filters: Any) -> None:
-        """In `take`."""
 
     def shutdown(self) -> None:
         super().shutdown()
