@@ -27,17 +27,6 @@ _NEVER_INHIBITED: Mapping[int | None, Any] = {}
 class Port:
     """A device as the runner calls it."""
 
-    __slots__ = (
-        "can_ids",
-        "deadline",
-        "device",
-        "due_s",
-        "inhibited",
-        "moved",
-        "receive",
-        "sent",
-    )
-
     def __init__(self, device: Device) -> None:
         self.device = device
         self.receive = device.receive

@@ -137,8 +137,6 @@ class CallContext:
     that was taken.
     """
 
-    __slots__ = ("is_stamped", "now", "received", "stamp")
-
     def __init__(self) -> None:
         self.now = self.received = 0.0
         self.stamp = -NEVER
@@ -156,8 +154,6 @@ class CallContext:
 
 class Agenda:
     """The services with a timer, in their order."""
-
-    __slots__ = ("_services", "earliest", "moved")
 
     def __init__(self) -> None:
         self._services: tuple[Timed, ...] = ()
@@ -228,8 +224,6 @@ class Pending:
     is done (None) or has failed.
     """
 
-    __slots__ = ("code", "ended", "on_end")
-
     def __init__(self) -> None:
         self.ended = False
         self.code: AbortCode | None = None
@@ -260,8 +254,6 @@ class Routes:
     `sent` are notified when a frame of the node itself has left. The tables stay the same objects. `changes`
     moves, and `on_change` is called, whenever they are filled again.
     """
-
-    __slots__ = ("changes", "data", "on_change", "remote", "sent")
 
     def __init__(self) -> None:
         self.changes = 0
@@ -341,26 +333,6 @@ class ErrorReports(Protocol):
 
 class Core:
     """What the services of a node share."""
-
-    __slots__ = (
-        "agenda",
-        "application",
-        "call",
-        "counters",
-        "dictionary",
-        "emergency",
-        "emit",
-        "node_id",
-        "outbox",
-        "pending",
-        "process",
-        "reactions",
-        "routes",
-        "sdo_timeout_s",
-        "state",
-        "window_end",
-        "window_s",
-    )
 
     emergency: ErrorReports  # The EMCY producer of the present services; the first of them that is made.
 
