@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import can
 
@@ -20,8 +19,6 @@ from canfb.device.core import NEVER, CanIds
 from canfb.device.node import Device, Inhibited, Selective
 
 Ports = tuple["Port", ...]
-_NOTHING = CanIds(frozenset(), frozenset())
-_NEVER_INHIBITED: Mapping[int | None, Any] = {}
 
 
 class Port:
@@ -29,12 +26,12 @@ class Port:
 
     def __init__(self, device: Device) -> None:
         self.device = device
-        self.receive = device.receive
-        self.deadline = device.deadline
-        self.inhibited = device.inhibited if isinstance(device, Inhibited) else _NEVER_INHIBITED
+        self.inhibited: Mapping[int | None, object] = (
+            device.inhibited if isinstance(device, Inhibited) else {}
+        )
         self.sent: Callable[[int, float], None] = getattr(device, "sent", lambda can_id, now: None)
         self.due_s = NEVER
-        self.can_ids = _NOTHING
+        self.can_ids = CanIds(frozenset(), frozenset())  # until it is asked, and of one that hears all
         self.moved = isinstance(device, Selective)
 
 
@@ -60,7 +57,7 @@ class Dispatch:
         return min([port.due_s for port in self.ports], default=NEVER)
 
     def called(self, port: Port) -> None:
-        due_s = port.deadline()
+        due_s = port.device.deadline()
         port.due_s = NEVER if due_s is None else due_s
 
     def listeners(self, frame: Frame) -> Ports:

@@ -209,7 +209,7 @@ class Runner:
             self._bus_state.reading_worked(self._now, frame=True)
         dispatch, frame = self._dispatch, _new(Frame, (can_id, data, remote, received_s))
         for port in (dispatch.remote if remote else dispatch.data).get(can_id, dispatch.everyone):
-            self._ask(port, port.receive, frame, self._now)
+            self._ask(port, port.device.receive, frame, self._now)
 
     def _tick(self) -> None:
         self._now = now = self._clock()
@@ -257,7 +257,7 @@ class Runner:
                 send(origin, frame)
                 for other in dispatch.listeners(frame):
                     if other is not origin:
-                        answers = self._called(other, other.receive, frame, now)
+                        answers = self._called(other, other.device.receive, frame, now)
                         if answers:
                             queue.append((other, answers))
                 if dispatch.moved:
