@@ -83,14 +83,14 @@ class SdoServer(Timed):
 
     def drop(self) -> None:
         self._transfer = None
-        self._forget_answer()
+        self._pending = None
         self.deadline = NEVER
 
     def handle(self, data: bytes, now: float) -> None:
         if len(data) != _FRAME_LENGTH:
             self._core.counters.malformed_frames += 1
             return
-        self._forget_answer()
+        self._pending = None
         self._core.pending = None
         transfer, self._transfer = self._transfer, None
         # Of the running call.
@@ -131,19 +131,16 @@ class SdoServer(Timed):
             self._core.emit(Frame(self._answer_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
         else:
             self._core.pending, self._pending = None, pending
-            pending.on_end = partial(self._written, self._multiplexer, payload)
+            pending.on_end = partial(self._written, pending, self._multiplexer, payload)
 
-    def _written(self, multiplexer: bytes, payload: bytes, code: AbortCode | None) -> None:
+    def _written(self, pending: Pending, multiplexer: bytes, payload: bytes, code: AbortCode | None) -> None:
+        if pending is not self._pending:  # another request has come meanwhile
+            return
         self._pending = None
         if code is None:
             self._reply(payload)
         else:
             self._abort(multiplexer, code)
-
-    def _forget_answer(self) -> None:
-        pending, self._pending = self._pending, None
-        if pending is not None:
-            pending.on_end = None
 
     def _abort(self, multiplexer: bytes, code: AbortCode) -> None:
         self._core.counters.sdo_aborts += 1
