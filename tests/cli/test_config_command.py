@@ -120,8 +120,7 @@ def test_table_and_parameters_that_were_saved(yaml: Path, command: Command) -> N
     assert fresh.module.chain.correction.table == TABLE
     assert fresh.module.chain.correction.conditioning == Conditioning(sine_gain=1.25)
     assert fresh.module.dictionary.entry(0x2010, 3).value == 7
-    # With the table in a file alone no line is longer than the 255 characters of CiA 306, and a master that
-    # does not know the file says so.
+    # The table in a file alone: lines within the 255 characters of CiA 306; the master must know the file.
     command("config dcf --out m.dcf --table file", yaml)
     text = Path("m.dcf").read_text()
     assert max(len(line) for line in text.splitlines()) <= 255
@@ -297,6 +296,7 @@ WRONG = {
         ":5: file /nowhere/tracks.csv of source cannot be read: No such file or directory",
     f"{MODULES}    state_dir: /dev/null/x\n":
         ":3: state_dir /dev/null/x cannot be used: /dev/null is not a folder",
+    f"{MODULES}    state_dir: {256 * 'x'}\n": f":3: state_dir {256 * 'x'} cannot be used: File name too long",
     f"{MODULES}realtime:\n  cpu: 65535\n": ":4: cpu 65535 in realtime: this machine has 1, 0 to 0",
     f"{MODULES}realtime: {{cpu: 0, busy_poll: true}}\n":
         ":3: busy_poll in realtime: this machine has one processor, which all programs share",

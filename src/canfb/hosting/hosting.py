@@ -62,7 +62,8 @@ def _check_state_dir(node: NodeConfig) -> None:
     if node.state_dir is None:
         return
     folder = Path(node.state_dir)
-    there = next((part for part in (folder, *folder.absolute().parents) if part.exists()), Path("/"))
+    with saying(ConfigError, f"state_dir {folder} cannot be used", OSError):
+        there = next((part for part in (folder, *folder.absolute().parents) if part.exists()), Path("/"))
     if not there.is_dir():
         raise ConfigError(f"state_dir {folder} cannot be used: {there} is not a folder")
     if not os.access(there, os.W_OK | os.X_OK):
