@@ -13,7 +13,7 @@ import select
 import socket
 import struct
 from collections.abc import Iterable
-from typing import Any, Self
+from typing import Self
 
 from canfb.bus.bus_state import ERROR_RESTARTED, INTERFACE_DOWN
 from canfb.bus.clocks import OtherClock
@@ -115,9 +115,8 @@ class RawCanBus(contextlib.AbstractContextManager["RawCanBus"]):
     def receive(self, wait_s: float) -> Received | None:
         if self._down:
             return self._came_up()
-        ready: list[Any] | bool
         if wait_s == 0.0:
-            ready = True  # reading never waits
+            ready: object = True  # reading never waits
         elif self._full or wait_s < RESOLUTION_S:
             ready = select.select(self._sources, self._full, [], wait_s)[0]
         else:
