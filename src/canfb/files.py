@@ -37,15 +37,16 @@ def as_utf8(text: str) -> str:
 def check_writable(path: Path, option: str = "") -> None:
     """ConfigError, with the ``option``, where no file can be."""
     name = f"{option} {path}".strip()
-    if path.is_dir():
-        raise ConfigError(f"{name}: cannot be written: it is a folder")
-    is_small = path.is_file() and path.stat().st_size < 1 << 16  # as a configuration is
-    if is_small and re.search(rb"^(bus|modules|interfaces):", path.read_bytes(), re.MULTILINE):
-        raise ConfigError(f"{name}: is a configuration, and would be replaced: give another name")
-    if not path.parent.is_dir():
-        raise ConfigError(f"{name}: there is no folder {path.parent}")
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise ConfigError(f"{name}: cannot be written: Permission denied")
+    with saying(ConfigError, f"{name}: cannot be written", OSError):
+        if path.is_dir():
+            raise ConfigError(f"{name}: cannot be written: it is a folder")
+        is_small = path.is_file() and path.stat().st_size < 1 << 16  # as a configuration is
+        if is_small and re.search(rb"^(bus|modules|interfaces):", path.read_bytes(), re.MULTILINE):
+            raise ConfigError(f"{name}: is a configuration, and would be replaced: give another name")
+        if not path.parent.is_dir():
+            raise ConfigError(f"{name}: there is no folder {path.parent}")
+        if not os.access(path if path.exists() else path.parent, os.W_OK):
+            raise ConfigError(f"{name}: cannot be written: Permission denied")
 
 
 def writing(path: Path, option: str = "") -> contextlib.AbstractContextManager[None]:

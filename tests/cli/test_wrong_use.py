@@ -33,6 +33,7 @@ ARRAYS = {
 NO_FILE = "cannot be read: No such file or directory"
 TYPO = "unknown interface 'socketcam' in bus; did you mean 'socketcan'?"
 NOT_A_NODE = "is not a node-ID (1 to 127, or 0x01 to 0x7F)"
+LONG = 256 * "x"
 
 WRONG_USE = {
     "--debug": "canfb: the following arguments are required: COMMAND; see canfb --help",
@@ -148,9 +149,10 @@ WRONG_USE = {
     "why 5 --config ''": "cannot be read",
     "why 5 6": "one NODE is required, a node-ID such as 32 or 0x20; several with --bundle only",
     "table read 5 feedback.yaml": "feedback.yaml: is a configuration, and would be replaced",
+    f"table read 5 {LONG}": "cannot be written: File name too long",
     "why 5 --out x.json": "--out: only with --bundle",
     "table": "the following arguments are required: PART",
-    **{f"table show {x}": f"{x}: neither a node-ID (1 to 127) nor a file" for x in ("nothing.yaml", "128")},
+    **{f"table show {x}": f"{x}: neither a node-ID (1 to 127) nor a file" for x in ("no.yaml", "128", LONG)},
     "table write 0x20 t.yaml --save": "--save: only with --activate",
     **dict.fromkeys(("table write 0 t.yaml", "config dcf 0"), f"'0' {NOT_A_NODE}; see"),
     "table clear 0x20 --timeout 0": "--timeout 0: must be 0.01 to 60",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -74,7 +75,7 @@ def show(options: argparse.Namespace) -> int:
     try:
         node = node_number(options.what)
     except argparse.ArgumentTypeError:
-        if not Path(options.what).exists():
+        if not os.path.exists(options.what):  # False for a name too long, too
             raise ConfigError(f"{options.what}: neither a node-ID (1 to 127) nor a file") from None
         file = read_table(Path(options.what))
         state = TableState(options.what, file.used, file.cycles_per_revolution)
