@@ -6,7 +6,6 @@ when its power comes back. All requests: CANFB_EVERY_REQUEST=1.
 
 from __future__ import annotations
 
-import copy
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from canfb.calibration.deviation import Deviation
 from canfb.cia301.frame import Frame
 from canfb.cli.backup_command import backup_of
 from canfb.commission.commission_run import set_limits
+from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import Changes, MemoryStore
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
@@ -29,6 +29,7 @@ from canfb.master.all_or_nothing import Guard, save
 from canfb.master.samples import TrackSamples
 from canfb.module.device_configuration import configuration_of, read_configuration, restored_configuration
 from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.objects import SUPERVISION_PHASE_ERROR, Multiplexer
 from canfb.sdo.backups import Backup, restore_backup
 from canfb.sdo.object_description import ObjectDescriptions
@@ -107,9 +108,7 @@ class Held:
 
     @classmethod
     def of(cls, bench: Bench) -> Held:
-        again = FeedbackModule(bench.module.config, copy.deepcopy(bench.store))
-        again.start(0.0)
-        return cls(*_held(bench.module), *_held(again))
+        return cls(*_held(bench.module), *kept(bench))
 
     @property
     def kept(self) -> tuple[Values, Correction]:
@@ -119,6 +118,23 @@ class Held:
 
 def _held(module: FeedbackModule) -> tuple[Values, Correction]:
     return configuration_of(module).values(), module.chain.correction
+
+
+def kept(bench: Bench) -> tuple[Values, Correction]:
+    assert isinstance(bench.store, MemoryStore)
+    return _switched_on(bench.module.config, frozenset(bench.store.images.items()))
+
+
+@cache
+def _switched_on(
+    config: ModuleConfig, images: frozenset[tuple[ParameterGroup, bytes]]
+) -> tuple[Values, Correction]:
+    """What a module holds that starts with these; most faults leave the same ones."""
+    store = MemoryStore()
+    store.images = dict(images)
+    module = FeedbackModule(config, store)
+    module.start(0.0)
+    return _held(module)
 
 
 @dataclass(frozen=True)
@@ -145,7 +161,7 @@ class Task:
 
         def save_and_look(changes: Changes) -> None:
             save(changes)
-            saves.append(Held.of(bench).kept)
+            saves.append(kept(bench))
 
         bench.store.save = save_and_look  # type: ignore[method-assign]
         said = ""
@@ -175,15 +191,24 @@ def requests(fault: str, last: int, step: int) -> range:
 
 NEW = Correction(wavy_table(16), Conditioning(sine_offset_counts=3.5))
 OLD = Correction(CorrectionTable.identity(16), Conditioning(sine_gain=1.25))
+CONFIG = {"coast_samples": 5}
 LIMITS = {Multiplexer(0x2010, 1): 9000, Multiplexer(0x2010, 2): 12.5, Multiplexer(0x2010, 4): 3}
 LIMITS_BEFORE = {Multiplexer(0x2010, 1): 21845, Multiplexer(0x2010, 2): 0.0, Multiplexer(0x2010, 4): 0}
 
 
-def prepared(used: Correction = OLD, *, operational: bool = True, phase_error: int = 819) -> Bench:
-    bench = bench_with(used, operational=operational, store=MemoryStore(), config={"coast_samples": 5})
+@cache
+def saved(used: Correction, phase_error: int) -> dict[ParameterGroup, bytes]:
+    store = MemoryStore()
+    bench = bench_with(used, store=store, config=CONFIG)
     bench.access.write(*SUPERVISION_PHASE_ERROR, "H", phase_error)
     save(bench.access)
-    return bench
+    return store.images
+
+
+def prepared(used: Correction = OLD, *, operational: bool = True, phase_error: int = 819) -> Bench:
+    store = MemoryStore()
+    store.images = dict(saved(used, phase_error))
+    return Bench(sync=False, operational=operational, store=store, config=CONFIG)
 
 
 @cache
