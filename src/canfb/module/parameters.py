@@ -197,7 +197,6 @@ class Limits:
         # accepted meanwhile.
         full_scale.on_written = lambda: self._scale_written(upper_is_old=True)
         high.on_written = lambda: self._scale_written(upper_is_old=high.value <= low.value)
-        self.reset()
 
     def reset(self) -> None:
         self._upper_is_old = False

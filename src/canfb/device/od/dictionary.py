@@ -66,7 +66,6 @@ class Entry:
         other = object.__new__(Entry)
         for name in Entry.__slots__:  # copy.copy takes four times as long, and a module has 420 of them
             setattr(other, name, getattr(self, name))
-        other.reset()
         return other
 
     def reset(self) -> None:
