@@ -58,7 +58,7 @@ def encoder(path: AnalogPath) -> Encoder:
 ENCODER = encoder(AnalogPath(cosine_delay_s=DELAY_S))
 PATH = AnalogPath(sine_corner_hz=250e3, cosine_corner_hz=255e3, cosine_delay_s=1e-7)
 MULTIPLEXER = AnalogPath(cosine_delay_s=1e-6)
-STAY_S = 6.0
+STAY_S = 4.0
 SHORT = ("--seconds", "2", "--least-samples", "2000", "--verify", "0.8", "--wait", "30")
 ALL = "61,703,3001"
 
