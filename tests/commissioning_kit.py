@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -66,13 +67,6 @@ class EmbeddedMaster(embedded_master.EmbeddedMaster):
         super().wait(duration_s)
 
 
-class NoTrack:
-    """In place of a coarse track of which nobody has the counts: half of the time of a sample."""
-
-    def sample(self, position: float, rng: np.random.Generator) -> tuple[int, int]:
-        return 0, 0
-
-
 @dataclass
 class Bench:
     """The network, powered on and operational, SYNC running."""
@@ -91,8 +85,8 @@ class Bench:
         timed = self.timing is not None
         turning = Motion((), (Ripple(0.02 * self.rpm, 0.31), Ripple(0.01 * self.rpm, 1.7)), self.rpm)
         shaft = ShaftEncoder(self.encoder, CYCLES, seed=7)
-        if not timed:
-            shaft._coarse = NoTrack()  # type: ignore[assignment]
+        if not timed:  # nobody gets the counts of the coarse track, which take half of the time of a sample
+            shaft._coarse = SimpleNamespace(sample=lambda position, rng: (0, 0))  # type: ignore[assignment]
         self.source = Changing(MotionSource(shaft, self.motion or turning, 1.0 / RATE_HZ))
         self.module = FeedbackModule(
             ModuleConfig(

@@ -150,14 +150,11 @@ class Bus:
             self.due_s = self.clock.now + (self.plan[0][0] if self.plan else 0.0)
             first_s = self.clock.now - 1e-5 * len(frames)
             for n, frame in enumerate(frames):
-                if self._passes(frame[0]):
+                if not self.filters or self.heard is None or frame[0] in self.heard:
                     self.taken.append((*frame, first_s + 1e-5 * n + WALL_S if self.stamped else 0.0))
                 else:
                     self.left_out += 1
         return self.taken.popleft()
-
-    def _passes(self, can_id: int) -> bool:
-        return not self.filters or self.heard is None or can_id in self.heard
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
         self.sent.append((round(self.clock.now, 9), can_id, data, remote))

@@ -17,10 +17,6 @@ STORE = (0x1010, 0x1011)
 REFUSE_WRITE, REFUSE_READ = 1, 2  # ObjFlags (CiA 306)
 
 
-def is_pdo_record(index: int) -> bool:
-    return 0x1400 <= index <= 0x1BFF
-
-
 def entries(tester: Tester, where: range) -> Iterator[EdsEntry]:
     for entry in tester.eds.entries.values():
         if entry.index in where:
@@ -44,7 +40,7 @@ def written_back(tester: Tester, where: range) -> list[EdsEntry]:
         if entry.writable
         and entry.index != ERROR_HISTORY
         and entry.index not in STORE
-        and not is_pdo_record(entry.index)
+        and not 0x1400 <= entry.index <= 0x1BFF  # PDOs
         and not entry.flags & REFUSE_WRITE
     ]
 

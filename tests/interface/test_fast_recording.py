@@ -120,27 +120,24 @@ def test_the_rate_can_be_set_but_not_while_it_records() -> None:
     bench.sdo[0x2050][1].raw = START
     bench.bus.run_until(0.1)
     for value in (2000, 1000):
-        with pytest.raises(SdoAbortedError) as error:
+        with pytest.raises(SdoAbortedError, match="0x08000022"):
             bench.sdo[0x2050][4].raw = value
-        assert error.value.code == 0x08000022
     bench.sdo[0x2050][1].raw = STOP
     assert bench.sdo[0x2050][2].raw == 101
-    for value, code in ((999, 0x06090032), (200_001, 0x06090031)):
-        with pytest.raises(SdoAbortedError) as error:
+    for value, code in ((999, "0x06090032"), (200_001, "0x06090031")):
+        with pytest.raises(SdoAbortedError, match=code):
             bench.sdo[0x2050][4].raw = value
-        assert error.value.code == code
 
 
 @each(
     "source, value, code",
-    [*((turning(), value, 0x06090030) for value in (0, 3, 255)), (Still(), START, 0x08000022)],
+    [*((turning(), value, "0x06090030") for value in (0, 3, 255)), (Still(), START, "0x08000022")],
 )
 def test_other_commands_and_recording_what_is_played_from_a_file_are_refused(
-    source: Source, value: int, code: int
+    source: Source, value: int, code: str
 ) -> None:
-    with pytest.raises(SdoAbortedError) as error:
+    with pytest.raises(SdoAbortedError, match=code):
         Bench(source).sdo[0x2050][1].raw = value
-    assert error.value.code == code
 
 
 def test_fast_samples_and_those_of_the_syncs_are_of_one_motion() -> None:

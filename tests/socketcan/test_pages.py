@@ -19,16 +19,12 @@ from judged_session import check, new_judge
 from processes import Started
 
 
-def python_block(word: str) -> str:
-    (found,) = [block for block in blocks(page("first-hour"), "python") if word in block]
-    return found
-
-
 @pytest.mark.usefixtures("can_utils")
 def test_the_first_session_can_be_pasted(can_bus: can.BusABC, tmp_path: Path) -> None:
     (session,) = [block for block in blocks(page("vcan"), "sh") if "candump" in block]
     patient = "import canopen\ncanopen.sdo.SdoClient.RESPONSE_TIMEOUT = 30.0\n"
-    (tmp_path / "master.py").write_text(patient + python_block("import canopen"))
+    (master,) = [block for block in blocks(page("first-hour"), "python") if "import canopen" in block]
+    (tmp_path / "master.py").write_text(patient + master)
     # Both commands are background jobs with the same ends as in a terminal.
     script = "set -m\n" + "\n".join([session, "python master.py", "kill %1 %2", "wait"])
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
