@@ -8,6 +8,7 @@ import os
 import signal
 import socket
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -77,25 +78,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("long")
 
 
-def _import_od_once() -> None:
-    """Let python canopen parse each EDS once for a node-ID: that is half of the time of a small test.
-
-    Everyone gets the same object; none writes to it.
-    """
-    parsed: dict[tuple[str, int, int | None], Any] = {}
-
-    def import_od(source: Any, node_id: int | None = None) -> Any:
-        if not isinstance(source, str) or not source.endswith(".eds"):
-            return canopen.objectdictionary.import_od(source, node_id)
-        key = (source, os.stat(source).st_mtime_ns, node_id)
-        if key not in parsed:
-            parsed[key] = canopen.objectdictionary.import_od(source, node_id)
-        return parsed[key]
-
-    canopen.import_od = canopen.node.base.import_od = import_od
+@cache
+def _parsed(path: str, written_ns: int, node_id: int | None) -> Any:
+    return canopen.objectdictionary.import_od(path, node_id)
 
 
-_import_od_once()
+def _import_od(source: Any, node_id: int | None = None) -> Any:
+    """Let python canopen parse each EDS once: half of the time of a small test. Nobody writes to it."""
+    if not isinstance(source, str) or not source.endswith(".eds"):
+        return canopen.objectdictionary.import_od(source, node_id)
+    return _parsed(source, os.stat(source).st_mtime_ns, node_id)
+
+
+canopen.import_od = canopen.node.base.import_od = _import_od
 
 
 @pytest.fixture

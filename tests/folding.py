@@ -30,7 +30,7 @@ def each(names: str, values: Iterable[Any]) -> Callable[[Callable[..., None]], C
             combinations = [_together(axes, values) for values in itertools.product(*(a[1] for a in axes))]
             failed = [(case, error) for case in combinations if (error := _fault(inner, case, fixtures))]
             if failed:
-                named = "\n".join(f"  {_text(case)}: {_line(error)}" for case, error in failed[:SHOWN])
+                named = "\n".join(_line(case, error) for case, error in failed[:SHOWN])
                 more = f"\n  and {len(failed) - SHOWN} more" if len(failed) > SHOWN else ""
                 summary = f"{len(failed)} of {len(combinations)} cases fail:\n{named}{more}"
                 raise AssertionError(summary) from failed[0][1]
@@ -58,9 +58,7 @@ def _fault(test: Callable[..., None], case: dict[str, Any], fixtures: dict[str, 
     return None
 
 
-def _text(case: dict[str, Any]) -> str:
-    return ", ".join(f"{name}={value!r}" for name, value in case.items())
-
-
-def _line(error: Exception) -> str:
-    return next(iter(f"{type(error).__name__}: {error}".splitlines()))
+def _line(case: dict[str, Any], error: Exception) -> str:
+    values = ", ".join(f"{name}={value!r}" for name, value in case.items())
+    said = f"{type(error).__name__}: {error}".splitlines()[0]
+    return f"  {values}: {said}"

@@ -164,21 +164,16 @@ def test_the_help_loads_no_server() -> None:
 PDOS = (0x190, 0x1A0, 0x1B1, 0x2A0, 0x2B1)
 
 
-@pytest.fixture
-def nine_frames(tmp_path: Path) -> Path:
+def test_a_log_in_lines(tmp_path: Path, command: Command) -> None:
     path = tmp_path / "drive.asc"
     with can.Logger(str(path)) as writer:
         for k in range(3):
             sample, position = struct.pack("<hh", 100 * k, 1500), struct.pack("<IHH", k, 1, 0)
             for n, (can_id, data) in enumerate(((0x080, b""), (0x190, sample), (0x1A0, position))):
                 writer(message(can_id, data, timestamp=1000.0 + 0.01 * k + 0.001 * n))
-    return path
-
-
-def test_a_log_in_lines(nine_frames: Path, command: Command) -> None:
-    lines = command("monitor --frames 0x20 --log", nine_frames).lines
+    lines = command("monitor --frames 0x20 --log", path).lines
     assert len(lines) == 9
-    assert command("monitor --frames 0x20 --seconds 0.009 --log", nine_frames).lines == lines[:3]
+    assert command("monitor --frames 0x20 --seconds 0.009 --log", path).lines == lines[:3]
     assert lines[0] == "(0.000000)  080  [0]                           SYNC"
     assert lines[4].endswith("RPDO1 of 32: sine 100 ADC counts, cosine 1500 ADC counts")
     assert lines[8].startswith("(0.022000)  1A0  [8]  02 00 00 00 01 00 00 00  TPDO1 of 32: position value 2")

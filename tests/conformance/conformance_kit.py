@@ -240,13 +240,14 @@ class Tester:
         """Codes of the EMCY frames."""
         return [data[3:5] + data[:2] for data in only(heard, 0x80 + self.id)]
 
-    def prepare(self) -> None:
+    def prepare(self) -> Tester:
         """What the list calls preparation: reset, defaults restored, reset."""
         self.nmt("81")
         if self.eds.has(0x1011, 1):
             self.accept(f"23 {m(0x1011, 1)} {LOAD}")
             self.wait(0.5)
             self.nmt("81")
+        return self
 
     def operational(self) -> list[Heard]:
         return self.nmt("01")
@@ -296,11 +297,11 @@ class Tester:
         return self.send(0x180 + INTERFACE_ID, "2C 01 78 05") if self.kind == MODULE else []
 
 
-def make_tester(kind: str, **fields: Any) -> Tester:
-    """A device just switched on, with a memory and its tester; `fields` are those of ModuleConfig."""
+def make_tester(kind: str) -> Tester:
+    """A device just switched on, with a memory and its tester."""
     device: Any
     if kind == MODULE:
-        config = ModuleConfig(node_id=MODULE_ID, encoder_interface=INTERFACE_ID, **fields)
+        config = ModuleConfig(node_id=MODULE_ID, encoder_interface=INTERFACE_ID)
         device = FeedbackModule(config, MemoryStore())
     else:
         device = EncoderInterface(INTERFACE_ID, Still(300, 1400), store=MemoryStore())

@@ -25,14 +25,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 @pytest.fixture
 def tester(request: pytest.FixtureRequest) -> Tester:
     """A prepared device, in Pre-operational."""
-    made = make_tester(request.param)
-    made.prepare()
-    return made
+    return make_tester(request.param).prepare()
 
 
 @pytest.fixture
 def module() -> Tester:
     """The drive feedback module alone, prepared."""
-    made = make_tester(MODULE)
-    made.prepare()
-    return made
+    return make_tester(MODULE).prepare()

@@ -25,10 +25,6 @@ def pdos(tester: Tester) -> list[Pdo]:
     return rpdos(tester) + tpdos(tester)
 
 
-def valid_pdos(tester: Tester) -> list[Pdo]:
-    return [pdo for pdo in pdos(tester) if not tester.read(pdo.communication, 1) >> 31]
-
-
 def rpdos(tester: Tester) -> list[Pdo]:
     return [Pdo(index, index + 0x200, ("rww", "rw", "wo")) for index in tester.rpdos]
 
@@ -88,7 +84,7 @@ def test_pdo_22_changing_the_mapping(tester: Tester) -> None:
 
 
 def test_pdo_23_and_24_mapping_while_it_counts_objects_and_of_a_valid_pdo(tester: Tester) -> None:
-    for pdo in valid_pdos(tester):
+    for pdo in [pdo for pdo in pdos(tester) if not tester.read(pdo.communication, 1) >> 31]:
         before = tester.read(pdo.mapping, 1)
         tester.refuse(mapping(pdo, before), *NOT_NOW)
         tester.refuse(f"2F {m(pdo.mapping)} 00", *NOT_NOW)

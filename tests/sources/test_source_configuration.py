@@ -222,14 +222,6 @@ def test_a_module_of_the_command_runs_on_its_source(capsys: pytest.CaptureFixtur
 CONFIG = IioSourceConfig(device="ads7950")
 
 
-@pytest.fixture
-def on_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder whose modules come before those that are installed; iio is not loaded yet."""
-    monkeypatch.delitem(sys.modules, "iio", raising=False)
-    monkeypatch.syspath_prepend(tmp_path)
-    return tmp_path
-
-
 def test_without_the_binding(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "iio", None)
     with pytest.raises(BusError, match=re.escape("pip install 'canfb[iio]'")):
@@ -237,8 +229,11 @@ def test_without_the_binding(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("failure", ["AttributeError('undefined symbol: iio_x')", "OSError('libiio.so.0')"])
-def test_without_the_library(failure: str, on_path: Path) -> None:
-    (on_path / "iio.py").write_text(f"raise {failure}\n")
+def test_without_the_library(failure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module that comes before the one that is installed; iio is not loaded yet."""
+    monkeypatch.delitem(sys.modules, "iio", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "iio.py").write_text(f"raise {failure}\n")
     with pytest.raises(BusError, match="apt-get install libiio0"):
         IioCapture(CONFIG)
 
