@@ -117,10 +117,12 @@ class DriveBench:
         """Where the shaft truly is, in units of the drive."""
         return self.motor.revolutions * UNITS
 
+    def words(self, can_id: int) -> list[int]:
+        """The first word of each frame: a statusword, or an error code."""
+        return [struct.unpack_from("<H", frame.data)[0] for frame in self.heard if frame.can_id == can_id]
+
     def emergencies(self, node_id: int = DRIVE_ID) -> list[int]:
-        return [
-            struct.unpack_from("<H", frame.data)[0] for frame in self.heard if frame.can_id == 0x80 + node_id
-        ]
+        return self.words(0x80 + node_id)
 
     def onward(self, count: int = 1) -> None:
         """So many SYNCs, and the target for the next, at this speed."""

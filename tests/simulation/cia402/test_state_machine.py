@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from typing import Any
 
 import canopen
@@ -84,12 +83,6 @@ def bench() -> DriveBench:
     return DriveBench()
 
 
-def statuswords(bench: DriveBench) -> list[int]:
-    return [
-        struct.unpack_from("<H", frame.data)[0] for frame in bench.heard if frame.can_id == 0x180 + DRIVE_ID
-    ]
-
-
 def test_the_modes_are_those_of_6502h_and_other_fault_reactions_are_refused(bench: DriveBench) -> None:
     assert bench.master.is_op_mode_supported(CYCLIC)
     bench.master.op_mode = CYCLIC
@@ -107,13 +100,13 @@ def test_the_modes_are_those_of_6502h_and_other_fault_reactions_are_refused(benc
 
 
 def test_each_change_of_state_is_told_at_once(bench: DriveBench) -> None:
-    before = len(statuswords(bench))
+    before = len(bench.words(0x180 + DRIVE_ID))
     for controlword in (0x06, 0x07, 0x0F, 0x00):
         bench.control(controlword)
     for state in ("PRE-OPERATIONAL", "OPERATIONAL"):
         bench.master.nmt.state = state
         assert bench.read(0x6041) == (0x0050 if state.startswith("PRE") else 0x0250)
-    assert statuswords(bench)[before:] == [0x0231, 0x0233, 0x0237, 0x0250, 0x0050, 0x0250]
+    assert bench.words(0x180 + DRIVE_ID)[before:] == [0x0231, 0x0233, 0x0237, 0x0250, 0x0050, 0x0250]
 
 
 def test_a_quick_stop_is_the_ramp_of_6085h_and_then_the_power_goes() -> None:
