@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,13 @@ def bench_at(rpm: float, **config: Any) -> Bench:
     return made
 
 
+@cache
+def calibrated_at(rpm: float) -> Bench:
+    bench = bench_at(rpm)
+    assert calibrate(bench) == 0
+    return bench
+
+
 def delays(bench: Bench) -> tuple[float, ...]:
     used = bench.module.chain.correction.conditioning
     return used.cosine_delay_s, used.delay_s, bench.module.limits.corners.corner_hz
@@ -93,8 +101,7 @@ def delays(bench: Bench) -> tuple[float, ...]:
 @each("rpm", [61.0, 1503.0, 3001.0])
 def test_a_calibration_at_any_speed_finds_the_encoder(rpm: float) -> None:
     """The phase error is that of the encoder: at 3000 rpm the samples show 0.75 rad more."""
-    bench = bench_at(rpm)
-    assert calibrate(bench) == 0
+    bench = calibrated_at(rpm)
     assert delays(bench) == (DELAY_S, LAG_S, 0.0)
     assert bench.module.chain.correction.conditioning.phase_error_rad == pytest.approx(
         PHASE_ERROR_RAD, abs=3e-3
@@ -113,10 +120,8 @@ def test_a_low_pass_of_the_cosine_alone_is_enough_for_that(source: str) -> None:
 
 
 def test_a_check_sees_no_drift_at_another_speed(figures_of: Any) -> None:
-    slow = bench_at(61.0)
-    assert calibrate(slow) == 0
     fast = bench_at(3001.0)
-    put_in_force(fast.access, slow.module.chain.correction)
+    put_in_force(fast.access, calibrated_at(61.0).module.chain.correction)
     # The third harmonic is delayed, too, and that is no drift.
     assert figures_of(fast, "--check")["drift_rms_cycles"] < 2e-4
 
