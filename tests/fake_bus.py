@@ -98,10 +98,10 @@ class FakeDevice:
         self.heard.append((now, frame))
         return self.answer(frame)
 
-    def tick(self, now: float) -> list[Frame]:
+    def tick(self, now: float, until: float = float("inf")) -> list[Frame]:
         assert self.next_s is not None
         assert self.period_s is not None
-        assert now >= self.next_s, "never early"
+        assert min(now, until) >= self.next_s, "never early"
         self.ticked.append(now - self.next_s)
         self.next_s += self.period_s
         return [Frame(self.tick_id, b"")]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from canfb.cia301.frame import Frame
+from canfb.device.core import NEVER
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import Source, SourceEnded
 
@@ -84,7 +85,7 @@ class Sender:
     def deadline(self) -> float | None:
         return self._frames[0][0] if self._frames else None
 
-    def tick(self, now: float) -> list[Frame]:
-        frames = [frame for at, frame in self._frames if at <= now]
+    def tick(self, now: float, until: float = NEVER) -> list[Frame]:
+        frames = [frame for at, frame in self._frames if at <= min(now, until)]
         del self._frames[: len(frames)]
         return frames

@@ -14,8 +14,10 @@ import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 from hypothesis import example, given, strategies as st
 
+from canfb import objects as od
 from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED, LASTING_S, RETRY_S, SETTLED_S
 from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, DeviceFailure, Runner
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
 from canfb.device.node import Device
 from canfb.errors import reason
@@ -129,11 +131,13 @@ def test_a_timer_waits_for_frames_that_came_before_it(
     assert all(lag_s - 0.0003 <= late_s <= lag_s + 0.0003 for late_s in device.ticked)
 
 
+@pytest.mark.parametrize("beside", [None, 0.2])
 @pytest.mark.parametrize("in_a_call", [True, False])
-def test_a_runner_that_was_away_gives_the_frames_first(in_a_call: bool) -> None:
+def test_a_runner_that_was_away_gives_the_frames_first(in_a_call: bool, beside: float | None) -> None:
     """Two seconds, in a call of the device or behind a wait that ended a little early without a frame.
 
-    What came meanwhile takes its time: nothing was late but the runner.
+    What came meanwhile takes its time: nothing was late but the runner. A timer of a device ``beside`` it
+    goes on.
     """
     bench = Bench(*((0.007 * n, message(0x300, timestamp=WALL_S + 1000.0 + 0.007 * n)) for n in range(400)))
     order: list[str] = []
@@ -156,7 +160,7 @@ def test_a_runner_that_was_away_gives_the_frames_first(in_a_call: bool) -> None:
         bench.clock.now += timeout - 0.0009 + 2.0
         return None
 
-    def ticks(now: float) -> list[Frame]:
+    def ticks(now: float, until: float = 0.0) -> list[Frame]:
         order.append("tick")
         device.next_s = None
         return []
@@ -164,10 +168,38 @@ def test_a_runner_that_was_away_gives_the_frames_first(in_a_call: bool) -> None:
     bench.bus.recv = ends_early  # type: ignore[method-assign]
     device = bench.device(period_s=0.0075, answer=hears)
     device.tick = ticks  # type: ignore[method-assign]
-    bench.run([device], 2.79)
+    other = bench.device(period_s=beside)
+    bench.run([device, other], 2.79)
+    assert bool(other.ticked) is bool(beside)
     assert order.count("away") == 1
     assert "tick" not in order
     assert order.count("frame") > 390
+
+
+def test_a_module_that_was_away_misses_neither_sync_nor_heartbeat() -> None:
+    """One second, with the heartbeats of its own that were due meanwhile."""
+    wishes = ["2B17100064000000", "231610012C010500"]  # heartbeat each 100 ms, that of node 5 within 300 ms
+    planned = [(0.01, message(0x620, bytes.fromhex(wish))) for wish in wishes]
+    for n in range(300):
+        frames = [(0x080, b""), (0x190, struct.pack("<hh", 1500, 0)), *[(0x705, b"\5")] * (n % 10 == 0)]
+        for late_s, (can_id, data) in enumerate(frames):
+            at = 0.02 + 0.01 * n + 2e-4 * late_s
+            planned.append((at, message(can_id, data, timestamp=WALL_S + 1000.0 + at)))
+    bench = Bench(*planned)
+    heard: list[Frame] = []
+
+    def is_away(frame: Frame) -> list[Frame]:
+        heard.append(frame)
+        bench.clock.now += 1.0 if len(heard) == 300 else 1e-4
+        return []
+
+    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
+    bench.run([module, bench.device(answer=is_away)], 3.0)
+    assert set(bench.bus.sent_ids()) == {0x1A0, 0x2A0, 0x5A0, 0x720}, "no EMCY"
+    assert 15 < bench.bus.sent_ids().count(0x720) < 25, "missed heartbeats are not made up"
+    assert module.state is NmtState.OPERATIONAL
+    counters = od.COUNTER_MISSED, od.COUNTER_SYNCS_NOT_HEARD
+    assert [module.dictionary.entry(*place).value for place in counters] == [0, 0]
 
 
 def test_without_deadlines_a_wait_is_short_enough_for_a_signal() -> None:

@@ -259,6 +259,18 @@ def test_heartbeats_neither_drift_nor_catch_up(bench: Bench) -> None:
         assert bench.node.deadline() == pytest.approx(5.13 if late == 5.03 else late + 0.07)
 
 
+def test_a_late_caller_does_what_was_due_before_the_frames_that_wait(bench: Bench) -> None:
+    """Its own heartbeat, once; that of node 5 may wait."""
+    assert bench.write(0x1017, 0, 200, 2) == OK
+    assert bench.write(0x1016, 1, 5 << 16 | 500, 4) == OK
+    bench.tick()
+    bench.send(0x705, "05")
+    start = bench.now
+    assert hexes(bench.node.tick(start + 2.0, start + 0.25)) == ["720#7F"]
+    assert bench.node.tick(start + 2.0, start + 0.25) == []
+    assert [text[:8] for text in hexes(bench.node.tick(start + 2.0))] == ["0A0#3081"]
+
+
 def test_the_program_hears_of_a_loss_before_the_state_changes(bench: Bench) -> None:
     heard: list[tuple[float, NmtState]] = []
     bench.application.react(communication_failed=lambda now: heard.append((now, bench.node.state)))

@@ -18,6 +18,7 @@ from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED
 from canfb.bus.frame_bus import ERROR, REMOTE, Received
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
+from canfb.device.core import NEVER
 from canfb.device.node import Device
 
 SOCKET_FRAMES = 270  # that wait in a socket of Linux by default, with 212 992 bytes; those beyond are lost
@@ -67,9 +68,9 @@ class Hosted:
     def deadline(self) -> float:
         return max(self._wake_s, self.stalled_until_s)
 
-    def tick(self, now: float) -> list[Frame]:
+    def tick(self, now: float, until: float = NEVER) -> list[Frame]:
         self._now = now
-        if now < self.stalled_until_s:
+        if min(now, until) < self.stalled_until_s:
             return []
         self._go_on()
         return self.bus.taken()

@@ -13,6 +13,7 @@ from typing import Any
 
 from canfb import CanfbError, Feedback, FeedbackModule, Frame, ModuleConfig, Sample, StatusBit, objects as od
 from canfb.cia301.codes import NmtCommand, NmtState
+from canfb.device.core import NEVER
 from canfb.device.node import Device, NodeDevice
 from canfb.device.storage.storage import Changes, MemoryStore, Store
 from canfb.hosting.event_log import EventLog
@@ -119,8 +120,8 @@ class Cable:
             frame = frame._replace(timestamp=now + self.stamp_s)
         return self._device.receive(frame, now)
 
-    def tick(self, now: float) -> list[Frame]:
-        frames = self._device.tick(now)
+    def tick(self, now: float, until: float = NEVER) -> list[Frame]:
+        frames = self._device.tick(now, until)
         return [] if self.pulled else frames
 
 

@@ -147,8 +147,8 @@ class Runner:
             self._dispatch.follow()
         self._now = asked = self._clock()
         due = self._dispatch.due_s()
-        if due <= asked and not self._waits_before(due):
-            self._tick()
+        if due <= asked:
+            self._tick(self._taken_until(due))
             asked, due = self._now, self._dispatch.due_s()
         self._asked_s = asked
         wait = min(due - asked, self._longest_wait_s) if due > asked else 0.0
@@ -174,16 +174,16 @@ class Runner:
             self._sender.retry(self._now)
         return received
 
-    def _waits_before(self, due: float) -> bool:
-        """Frames that came before this deadline may still wait."""
-        received, now = self._received_s, self._now
-        taken_s = self._empty_s + CLOSE_S if received is None else received
+    def _taken_until(self, due: float) -> float:
+        """No frame that came before waits; now, if those that wait put ``due`` off for too long."""
+        taken_s = self._empty_s + CLOSE_S if self._received_s is None else self._received_s
         if taken_s >= due:
             self._put_off_s = None
-            return False
-        if self._put_off_s is None:
-            self._put_off_s = now
-        return now - self._put_off_s < self._longest_drain_s
+        elif self._put_off_s is None:
+            self._put_off_s = self._now
+        elif self._now - self._put_off_s >= self._longest_drain_s:
+            return self._now
+        return min(taken_s, self._now)
 
     def _take(self, can_id: int, data: bytes, stamp_s: float) -> None:
         remote = False
@@ -211,11 +211,11 @@ class Runner:
         for port in (dispatch.remote if remote else dispatch.data).get(can_id, dispatch.everyone):
             self._ask(port, port.device.receive, frame, self._now)
 
-    def _tick(self) -> None:
+    def _tick(self, until: float) -> None:
         self._now = now = self._clock()
         for port in self._dispatch.ports:
-            if port.due_s <= now:
-                self._ask(port, port.device.tick, now)
+            if port.due_s <= until:
+                self._ask(port, port.device.tick, now, until)
 
     def _notify_bus_state(self) -> None:
         """Not a device whose boot-up has not left."""

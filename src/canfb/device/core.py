@@ -172,11 +172,10 @@ class Agenda:
             self.moved = False
         return self.earliest
 
-    def tick(self, now: float) -> None:
-        if self.due() <= now:
-            for service in self._services:
-                if service.deadline <= now:
-                    service.tick(now)
+    def tick(self, now: float, until: float) -> None:
+        for service in self._services:
+            if service.deadline <= until:
+                service.tick(now)
 
 
 class Timed(ABC):

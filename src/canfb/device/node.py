@@ -166,13 +166,15 @@ class Node:
         outbox.clear()
         return sent
 
-    def tick(self, now: float) -> list[Frame]:
+    def tick(self, now: float, until: float = NEVER) -> list[Frame]:
+        """Do what was due at ``until``, by default ``now``: later frames may still wait."""
+        until = min(now, until)
         call = self.call
         call.now = call.received = now
         call.is_stamped = True  # a SYNC of its own goes out now
-        if now >= self._expiry.until:
-            self._application.overdue(now)
-        self._agenda.tick(now)
+        if until >= self._expiry.until:
+            self._application.overdue(until)
+        self._agenda.tick(now, until)
         return self._sent()
 
     def deadline(self) -> float | None:
@@ -286,8 +288,8 @@ class Device(Protocol):
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame of another device."""
 
-    def tick(self, now: float) -> list[Frame]:
-        """Do what is due."""
+    def tick(self, now: float, until: float = NEVER) -> list[Frame]:
+        """Do what was due at ``until``."""
 
     def deadline(self) -> float | None:
         """When tick is due."""

@@ -15,7 +15,7 @@ from canfb import objects as od
 from canfb.checks import integer_in, number_in, within
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
-from canfb.device.core import FOLLOWED, IGNORED, HeldRpdo
+from canfb.device.core import FOLLOWED, IGNORED, NEVER, HeldRpdo
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.node import NodeDevice
 from canfb.device.od.dictionary import Dictionary, refuse_if
@@ -156,9 +156,9 @@ class MachineNode(NodeDevice):
         self.overhear(frame)
         return super().receive(frame, now)
 
-    def tick(self, now: float) -> list[Frame]:
+    def tick(self, now: float, until: float = NEVER) -> list[Frame]:
         self.received_s = self.time_base.at(now)
-        return super().tick(now)
+        return super().tick(now, until)
 
     def overhear(self, frame: Frame) -> None:
         """Before :meth:`receive`."""

@@ -80,8 +80,10 @@ class SimulatedDevice:
     def deadline(self) -> float | None:
         return self._next_s
 
-    def tick(self, now: float) -> list[Frame]:
-        return [] if self._next_s is None or now < self._next_s else [self._due(self._next_s, now)]
+    def tick(self, now: float, until: float = NEVER) -> list[Frame]:
+        return (
+            [] if self._next_s is None or min(now, until) < self._next_s else [self._due(self._next_s, now)]
+        )
 
     def _due(self, due_s: float, now: float) -> Frame:
         raise NotImplementedError
