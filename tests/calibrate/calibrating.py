@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from canfb.cli.calibrate import measured_nodes, over_bus
-from canfb.cli.main import build_parser
+from canfb.cli.commands import build_parser
 from canfb.cli.printing import Progress
 from canfb.configuration import Config
 from canfb.files import prepare_folder

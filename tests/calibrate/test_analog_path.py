@@ -18,7 +18,7 @@ from canfb.calibration.over_speeds import sampled_together
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.recording import recording
 from canfb.cli.calibrate import calibrate as calibrate_files
-from canfb.cli.main import build_parser
+from canfb.cli.commands import build_parser
 from canfb.cli.printing import Progress
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError, ConfigError

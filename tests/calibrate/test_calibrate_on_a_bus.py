@@ -16,8 +16,8 @@ from calibrating import calibrate, command, position_errors
 import canfb
 from canfb.calibration.recording import LARGEST_DENOMINATOR, away_from, find_lock
 from canfb.cia301.frame import Frame
+from canfb.cli.commands import build_parser
 from canfb.cli.config_file import EXAMPLE
-from canfb.cli.main import build_parser
 from canfb.cli.printing import Progress
 from canfb.cli.simulate import chosen
 from canfb.configuration import parse_config

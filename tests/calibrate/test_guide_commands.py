@@ -16,8 +16,8 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.cli import node_command, node_options
 from canfb.cli.aliases import current
+from canfb.cli.commands import build_parser
 from canfb.cli.config_file import EXAMPLE
-from canfb.cli.main import build_parser
 from canfb.hosting import hosting, serving
 from canfb.simulation.embedded_bus import EmbeddedBus
 from commands import Command

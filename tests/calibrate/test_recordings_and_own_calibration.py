@@ -11,7 +11,7 @@ import pytest
 from calibrating import calibrate, position_errors
 
 from canfb.cia301.frame import Frame
-from canfb.cli.main import build_parser
+from canfb.cli.commands import build_parser
 from canfb.cli.node_options import measured_nodes
 from canfb.configuration import parse_config
 from canfb.errors import CalibrationError

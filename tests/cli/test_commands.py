@@ -13,8 +13,7 @@ import pytest
 
 from canfb.cli import commands as table
 from canfb.cli.aliases import current
-from canfb.cli.commands import COMMANDS, EXAMPLES, named_command
-from canfb.cli.main import build_parser
+from canfb.cli.commands import COMMANDS, EXAMPLES, build_parser, named_command
 from commands import Command
 from processes import python
 
@@ -46,7 +45,7 @@ found = {}
 for name in sys.argv[1:]:
     for module in [one for one in sys.modules if one.startswith("canfb.cli.")]:
         del sys.modules[module]
-    importlib.import_module("canfb.cli.main").build_parser(name)
+    importlib.import_module("canfb.cli.commands").build_parser(name)
     found[name] = [one.rpartition(".")[2] for one in sys.modules if one.startswith("canfb.cli.")]
 print(json.dumps(found))
 """

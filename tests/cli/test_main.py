@@ -121,6 +121,13 @@ def test_ctrl_c_before_the_bus_is_open_is_exit_code_130_without_a_traceback(
     assert command("run", config, code=130).err == ""
 
 
+def test_so_it_is_while_the_command_line_is_loaded() -> None:
+    interrupts = "import sys\ndef interrupts(event, words):\n if words[:1] == ('canfb.cli.options',):\n"
+    interrupts += "  raise KeyboardInterrupt\nsys.addaudithook(interrupts)\n"
+    done = python("-c", f"{interrupts}from canfb.cli.main import main\nsys.exit(main(['--help']))")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 def test_a_reader_that_goes_away_is_no_traceback() -> None:
     """As in `canfb config example | head -0`: the pipe is closed before anything is written."""
     read_end, write_end = os.pipe()

@@ -155,7 +155,7 @@ def test_a_log_is_shown_without_a_bus(log: Path, command: Command, monkeypatch: 
 
 def test_the_help_loads_no_server() -> None:
     code = (
-        "from canfb.cli.main import build_parser; build_parser('monitor').format_help(); import sys\n"
+        "from canfb.cli.commands import build_parser; build_parser('monitor').format_help(); import sys\n"
         "print(sorted({'http.server', 'canfb.scope.page_server', 'canopen'} & set(sys.modules)))"
     )
     assert python("-c", code).stdout == "[]\n"

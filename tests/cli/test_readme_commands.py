@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from canfb.cia301.frame import Frame
+from canfb.cli.commands import build_parser
 from canfb.cli.config_file import EXAMPLE
-from canfb.cli.main import build_parser
 from canfb.cli.simulate import chosen
 from canfb.configuration import parse_config
 from canfb.interface.encoder_interface import EncoderInterface

@@ -11,7 +11,7 @@ import can
 import numpy as np
 import pytest
 
-from canfb.cli.main import build_parser
+from canfb.cli.commands import build_parser
 from canfb.cli.simulate import chosen
 from canfb.configuration import Config, load_config, parse_config
 from canfb.errors import ConfigError

@@ -15,8 +15,8 @@ import pytest
 from canfb import objects as od
 from canfb.calibration.path_fit import LowPass
 from canfb.cia301.frame import Frame
+from canfb.cli.commands import build_parser
 from canfb.cli.commission import measured_nodes, named_config, over_bus
-from canfb.cli.main import build_parser
 from canfb.cli.printing import Progress
 from canfb.commission.limit_choice import corner_choice
 from canfb.device.storage.storage import MemoryStore

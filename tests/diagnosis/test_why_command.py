@@ -16,7 +16,7 @@ import pytest
 import commissioning_kit
 from canfb import objects as od
 from canfb.cia301.frame import Frame
-from canfb.cli.main import build_parser
+from canfb.cli.commands import build_parser
 from canfb.diagnosis.lost import MOTION, Loss, LostPosition, read_lost_position
 from canfb.errors import BusError
 from canfb.hosting import self_diagnosis

@@ -15,7 +15,7 @@ from hypothesis import given, strategies as st
 
 from canfb import objects as od
 from canfb.cli.calibrate import over_bus
-from canfb.cli.main import build_parser
+from canfb.cli.commands import build_parser
 from canfb.cli.printing import Progress
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import Guard

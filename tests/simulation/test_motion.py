@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from canfb.cia301.frame import Frame
-from canfb.cli.main import build_parser
+from canfb.cli.commands import build_parser
 from canfb.cli.simulate import check_record, chosen, write_record
 from canfb.configuration import parse_config
 from canfb.device.od.dictionary import Dictionary

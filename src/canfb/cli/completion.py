@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from canfb.cli.commands import named_command
+from canfb.cli.commands import build_parser, named_command
 from canfb.errors import CanfbError
 
 ASKED = "_ARGCOMPLETE"  # Environment: the shell asks; which word of its line is the program, from 1.
@@ -20,13 +20,13 @@ NETWORK = Path("/sys/class/net")
 YAML_FILES = ("yaml", "yml")
 
 
-def answer(build: Callable[[str], argparse.ArgumentParser], environment: Mapping[str, str]) -> None:
+def answer(environment: Mapping[str, str]) -> None:
     try:
         import argcomplete
         from argcomplete.completers import DirectoriesCompleter, FilesCompleter
     except ImportError:
         return
-    parser = build(named_command(asked_words(environment)))
+    parser = build_parser(named_command(asked_words(environment)))
     completers: dict[str, Any] = {
         "CONFIG.yaml": FilesCompleter(YAML_FILES),
         "DIR": DirectoriesCompleter(),

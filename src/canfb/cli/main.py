@@ -17,9 +17,6 @@ import sys
 import traceback
 from collections.abc import Sequence
 
-from canfb.cli.aliases import current
-from canfb.cli.commands import WRONG_USE, build_parser, named_command
-from canfb.cli.options import refuse_combinations
 from canfb.cli.printing import drop_output, print_line, printed_log
 from canfb.errors import CanfbError, ConfigError
 
@@ -36,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if "_ARGCOMPLETE" in os.environ:
         from canfb.cli import completion  # here: it serves the shell, not a command
 
-        completion.answer(build_parser, os.environ)
+        completion.answer(os.environ)
         return FAILED
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - None: closed (>&-)
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
@@ -62,6 +59,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
+    # Here: Ctrl-C may come while they are loaded.
+    from canfb.cli.aliases import current
+    from canfb.cli.commands import WRONG_USE, build_parser, named_command
+    from canfb.cli.options import refuse_combinations
+
     line = shlex.join(["canfb", *arguments])  # for reports
     arguments, said = current(arguments)
     if said:
