@@ -186,6 +186,24 @@ def test_a_machine_that_runs_is_left_alone(canfb: Commands, file: Path) -> None:
     assert (bench.module.state, values(bench)[0x2010, 3]) == (NmtState.PRE_OPERATIONAL, 9)
 
 
+@pytest.mark.parametrize(
+    ("spoil", "code", "words"),
+    [
+        (swallow, 1, "before are in module 32 (20h) again"),
+        (lambda bench: interrupt(bench, 600), 130, "canfb: interrupted; an unfinished change is undone"),
+    ],
+)
+def test_a_machine_that_was_stopped_in_vain_is_said(
+    canfb: Commands, file: Path, spoil: Callable[[Bench], object], code: int, words: str
+) -> None:
+    bench = running(0.2)
+    spoil(bench)
+    assert canfb(bench, "backup", "restore", file, "--preop", code=code)[1].endswith(
+        f"{words}; canfb node start ends the PRE-OPERATIONAL of --preop\n"
+    )
+    assert bench.module.state is NmtState.PRE_OPERATIONAL
+
+
 def edit(file: Path, old: str, new: str) -> int:
     """Change the file; the number of the line."""
     text = file.read_text()

@@ -32,6 +32,7 @@ from canfb.module.device_configuration import (
 )
 from canfb.module.parameters import EDS
 from canfb.sdo.backups import (
+    AFTER_PREOP,
     Backup,
     NodeIdentity,
     backup_result,
@@ -110,7 +111,10 @@ def restore(options: argparse.Namespace) -> int:
     path = required_file(options.file)
     kept = read_backup(path, ObjectDescriptions(eds_path(EDS), 1), options.force)
     node = options.module or kept.node_id
-    with node_options.guarded() as guard, node_options.master_of(options) as master:
+    with (
+        node_options.guarded(AFTER_PREOP * options.preop) as guard,
+        node_options.master_of(options) as master,
+    ):
         module = NodeAccess(master, node, "module")
         done = restore_backup(
             module,

@@ -46,9 +46,9 @@ def sync_master(options: argparse.Namespace, config: Config) -> Iterator[tuple[B
 
 
 @contextlib.contextmanager
-def guarded() -> Iterator[Guard]:
-    """For what changes a node: a signal puts back what was."""
-    guard, as_before = Guard(), "an unfinished change is undone"
+def guarded(stays: str = "") -> Iterator[Guard]:
+    """For what changes a node: a signal puts back what was, but for what ``stays``."""
+    guard, as_before = Guard(), f"an unfinished change is undone{stays}"
     with shown_progress(quiet=True, interrupted=as_before), ending_on_signals(guard.interrupt):
         yield guard
 

@@ -206,6 +206,7 @@ STORES = (od.STORE_ALL_PARAMETERS,)
 MOST_SHOWN = 40
 TABLE_WRITES = (od.TABLE_STAGED, od.TABLE_ACTIVATE)
 TABLE = frozenset({od.TABLE_ACTIVATE, *od.CONDITIONING})
+AFTER_PREOP = "; canfb node start ends the PRE-OPERATIONAL of --preop"
 
 
 class Configured(Protocol):
@@ -278,7 +279,9 @@ def restore_backup(
             lambda: prove(after, "not as written"),
             lambda: prove(before, "not as before"),
             what="what was before",
-            undone=lambda: f"the parameters and the table from before are in {module.name} again",
+            undone=lambda: (
+                f"the parameters and the table from before are in {module.name} again{AFTER_PREOP * preop}"
+            ),
             keep=keep,
             stores=STORES,
         )
