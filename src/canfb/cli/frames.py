@@ -29,7 +29,7 @@ def show_frames(options: argparse.Namespace) -> int:
     modules = {node: one for node, (one, _) in known.items()}
     reader = MessageReader(options.seconds)
     with contextlib.ExitStack() as held:
-        held.enter_context(ending_on_signals(reader.stop))
+        held.enter_context(ending_on_signals(reader.stopped.set))
         if options.log is not None:
             frames = classic(reader.log(options.log))
             modules = modules if options.nodes else recognised(options.log) | modules

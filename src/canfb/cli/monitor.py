@@ -116,7 +116,7 @@ def monitor(options: argparse.Namespace) -> int:
         show, rate_hz = held.enter_context(output(options, page))
         reader = MessageReader(options.seconds)
         watching = Watching(model, show, min(options.updates or rate_hz, FASTEST_HZ), reader)
-        held.enter_context(ending_on_signals(reader.stop))
+        held.enter_context(ending_on_signals(reader.stopped.set))
         bus = None if options.log else held.enter_context(SharedBus(open_bus(words)))
         if options.sdo and bus is not None:
             held.enter_context(_reading(bus, layouts, watching, page))

@@ -20,6 +20,7 @@ from canfb.logfile.log_files import LogError
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import ModuleReading, Recognition, assumed_objects
 from canfb.monitoring.snapshot import BusSnapshot
+from canfb.rows import finite
 from canfb.view.module_view import Read
 
 log = logging.getLogger(__name__)
@@ -33,7 +34,7 @@ Show = Callable[[BusSnapshot], None]
 
 
 class MessageReader:
-    """Reads frames of any kind until :meth:`stop`, or for ``seconds``.
+    """Reads frames of any kind until :attr:`stopped` is set, or for ``seconds``.
 
     The log gets a line when an interface goes or comes (:class:`.Reception`). ``clock``, ``wall`` and
     ``sleep``: for tests.
@@ -48,7 +49,6 @@ class MessageReader:
     ) -> None:
         self._seconds, self.clock, self._wall, self.sleep = seconds, clock, wall, sleep
         self.stopped = threading.Event()
-        self.stop = self.stopped.set
 
     def bus(
         self, bus: can.BusABC, due: Callable[[], float] = lambda: float("inf")
@@ -71,9 +71,10 @@ class MessageReader:
     def log(self, path: Path) -> Iterator[tuple[float, Frame]]:
         """Seconds since the first frame and each frame; CanfbError for an unreadable or empty file."""
         began: float | None = None
+        stamp = 0.0
         log_file = BusLogFile(path, others=True)
         for frame in log_file:
-            stamp = frame.timestamp or 0.0
+            stamp = finite(frame.timestamp or stamp) or stamp  # one that is no number: as the last
             began = stamp if began is None else began
             if self.stopped.is_set() or (self._seconds is not None and stamp - began > self._seconds):
                 return
@@ -110,7 +111,7 @@ class Watching:
         self._reader = reader or MessageReader()
         self._readings: deque[ModuleReading] = deque()
         self.latest: BusSnapshot | None = None
-        self.stop = self._reader.stop
+        self.stop = self._reader.stopped.set
 
     def put(self, reading: ModuleReading) -> None:
         self._readings.append(reading)
