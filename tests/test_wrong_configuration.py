@@ -50,6 +50,8 @@ WRONG = {
     "modules:\n- node_id: {a: 3}\n": "2: 'node_id' in modules[0] must be a single value",
     MODULE + "  adc_bits: 012\n": "3: adc_bits must be a whole number 4..16, not '012'",
     MODULE + "  conditioning: {sine_gain: yes}\n": "3: sine_gain must be a finite number, not True",
+    MODULE + "  coast_samples: 3\n  conditioning: {sine_offset_counts: 1e39}\n":
+        "4: modules[0]: conditioning: sine_offset_counts must be a number -3.4e+38..3.4e+38, not 1e+39",
     MODULE + "  autostart: 1\n": "3: autostart must be true or false, not 1",
     MODULE + "  state_dir: 4\n": "3: state_dir must be text, not 4",
     MODULE + '  state_dir: "a\\ud83d"\n': r"3: state_dir must be text, not 'a\ud83d'",

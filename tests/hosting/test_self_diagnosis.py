@@ -107,7 +107,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path, caplog: pytest.
     stepped.diagnosis.request()
     stepped.steps()
     assert [record.getMessage() for record in caplog.records if "diagnosis" in record.getMessage()] == [
-        "no diagnosis: No such file or directory"
+        f"no diagnosis in {tmp_path / 'gone'}: No such file or directory"
     ]
 
 

@@ -221,7 +221,7 @@ class SelfDiagnosis:
                 part.write_text(diagnosis_text(f"process {os.getpid()}", parts), encoding="utf-8")
             self._outcome = f"diagnosis written: {path}"
         except Exception as error:  # a thread that dies would leave no trace
-            self._outcome = f"no diagnosis: {reason(error)}"
+            self._outcome = f"no diagnosis in {self._folder}: {reason(error)}"
         finally:
             sys.setswitchinterval(switch_s)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from canfb.checks import integer_in, within
+from canfb.checks import integer_in, number_in, within
 from canfb.cia301 import cob
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.objects import WriteLockMode
@@ -130,6 +130,8 @@ class ModuleConfig(ChainConfig):
             autostart=bool,
             state_dir=str,
         )
+        for name, value in self.conditioning.words.items():
+            number_in(f"conditioning: {name}", value, -3.4e38, 3.4e38)  # REAL32
         source, second = self.source, self.second_position
         if source is not None and not isinstance(source, SourceConfig):
             raise ValueError(f"source must be a configuration of a source, not {source!r}")
