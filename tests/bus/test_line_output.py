@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 from collections.abc import Iterator
@@ -41,6 +42,23 @@ def test_a_line_is_written_at_once(pipe: tuple[int, int]) -> None:
     assert os.read(pipe[0], 100) == "position valid, Ω\n".encode()
     LineOutput(pipe[1], excuse, "ascii").put("Ω")
     assert os.read(pipe[0], 100) == b"\\u03a9\n"
+
+
+def test_a_full_disk_takes_them_when_it_has_room(
+    pipe: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    output = LineOutput(pipe[1], excuse)
+    with monkeypatch.context() as full:
+        full.setattr(os, "write", refuse)
+        output.put("one")
+        output.put("two")
+        with pytest.raises(OSError, match="No space left"):
+            output.flush(0.1)
+    output.flush()
+    assert os.read(pipe[0], 100) == b"one\ntwo\n"
 
 
 def test_nothing_waits_for_a_reader_and_what_is_too_much_is_counted(pipe: tuple[int, int]) -> None:

@@ -199,6 +199,22 @@ def test_it_goes_on_and_ends(tmp_path: Path) -> None:
         os.close(reading)
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+def test_where_its_log_is_full_it_goes_on_and_says_so_at_the_end(tmp_path: Path) -> None:
+    (tmp_path / "feedback.yaml").write_text(CONFIG)
+    arguments = [sys.executable, "-m", "canfb", "run", "feedback.yaml", "--ready-file", "ready"]
+    with Path("/dev/full").open("wb") as full:
+        process = subprocess.Popen(arguments, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE)
+    try:
+        wait_for(tmp_path / "ready")
+        process.send_signal(signal.SIGTERM)
+        said = process.communicate(timeout=LIMIT_S)[1]
+    finally:
+        process.kill()
+        process.wait()
+    assert (process.returncode, said) == (1, b"canfb: cannot write the output: No space left on device\n")
+
+
 def test_lines_go_where_they_belong(capfd: pytest.CaptureFixture[str]) -> None:
     log = logging.getLogger("canfb.test")
     with printed_log(), printed_without_waiting():

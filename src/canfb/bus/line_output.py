@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 from collections import deque
 from collections.abc import Callable
 
 MOST_LINES = 1000
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class LineOutput:
-    """Writes lines to ``descriptor`` as far as it takes them; MOST_LINES wait.
+    """Writes lines to ``descriptor`` as far as it takes them; MOST_LINES wait, also for a full disk.
 
-    ``excuse`` makes the line for those left out. OSError as write(2).
+    ``excuse`` makes the line for those left out. OSError as write(2), for a full disk at the end only.
     """
 
     def __init__(self, descriptor: int, excuse: Callable[[int], str], encoding: str = "utf-8") -> None:
@@ -35,7 +37,12 @@ class LineOutput:
             if not select.select([], [self._descriptor], [], wait_s)[1]:
                 return
             line = self._waiting[0]
-            written = os.write(self._descriptor, line[: select.PIPE_BUF])  # which does not block then
+            try:
+                written = os.write(self._descriptor, line[: select.PIPE_BUF])  # which does not block then
+            except OSError as error:
+                if wait_s > 0.0 or error.errno not in FULL:
+                    raise
+                return
             if written < len(line):
                 self._waiting[0] = line[written:]
             else:

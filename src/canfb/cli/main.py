@@ -8,7 +8,6 @@ it, with the same exit code.
 
 from __future__ import annotations
 
-import errno
 import io
 import logging
 import os
@@ -17,12 +16,12 @@ import sys
 import traceback
 from collections.abc import Sequence
 
+from canfb.bus.line_output import FULL
 from canfb.cli.printing import drop_output, print_line, printed_log
 from canfb.errors import CanfbError, ConfigError
 
 FAILED = 1
 INTERRUPTED = 130
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
