@@ -92,7 +92,6 @@ class FeedbackModule(NodeDevice):
             self._calibrating.reset,
         )
         self._lock = WriteLock(self)
-        self._declare_jitter()
         for reset in self._resets:
             reset()
 
