@@ -15,9 +15,6 @@ def guarded(tester: Tester, guard_ms: int = 100, factor: int = 3) -> None:
     tester.write(0x100D, 0, factor, 1)
 
 
-# -- guarding ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("command", "state"), [("80", 0x7F), ("01", 0x05), ("02", 0x04)])
 def test_guard_02_and_hvg_03_the_answer_tells_the_state_without_heartbeat(
     tester: Tester, command: str, state: int
@@ -60,9 +57,6 @@ def test_guard_06_and_state_03_life_guarding(tester: Tester, behaviour: str | No
     assert tester.state() == state
     if state != "04":  # nothing but NMT and error control in Stopped
         assert tester.emergencies(tester.repeat(1, 0.1, lambda: tester.remote(0x700 + tester.id))) == []
-
-
-# -- heartbeat --------------------------------------------------------------------------------------
 
 
 def test_hb_02_and_hvg_04_heartbeat_every_100_ms_without_guarding(tester: Tester) -> None:
@@ -139,9 +133,6 @@ def test_hb_07_the_error_leads_to_pre_operational(tester: Tester) -> None:
         slow = beat(tester) + tester.wait(2.1)
         assert tester.emergencies(slow) == ["8130"]
         assert tester.beats(slow)[-1] == "7F"
-
-
-# -- one of both ------------------------------------------------------------------------------------
 
 
 def test_hvg_06_with_both_there_is_the_heartbeat(tester: Tester) -> None:

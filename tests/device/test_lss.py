@@ -66,9 +66,6 @@ def bench(make: Callable[..., LssBench]) -> LssBench:
     return make()
 
 
-# Switching the state.
-
-
 @pytest.mark.parametrize("wrong", range(4))
 def test_another_address_selects_nobody(bench: LssBench, wrong: int) -> None:
     address = [number ^ (1 << 31 if n == wrong else 0) for n, number in enumerate(ADDRESS)]
@@ -79,8 +76,6 @@ def test_another_address_selects_nobody(bench: LssBench, wrong: int) -> None:
     assert bench.select() == ["44"]
     assert bench.select() == []  # it is selected already
 
-
-# Every command in every state, with and without a node-ID.
 
 CONFIGURATION = [(LssState.CONFIGURATION, node) for node in (32, NONE)]
 WAITING = [(LssState.WAITING, node) for node in (32, NONE)]
@@ -129,9 +124,6 @@ def test_identify_remote_slave(bench: LssBench) -> None:
     assert bench.identify(vendor, product, 0, revision, 0, serial) == ["4F"]
 
 
-# Node-ID.
-
-
 def test_a_node_id_is_in_force_after_reset_communication(bench: LssBench) -> None:
     assert bench.lss(0x11, 40) == []
     assert bench.configure().lss(0x11, 40) == ["11"]
@@ -148,9 +140,6 @@ def test_a_node_id_is_in_force_after_reset_communication(bench: LssBench) -> Non
     assert bench.send(0x728, rtr=True) == ["728#7F"]
     assert bench.nmt(1, 40) == []
     assert bench.node.state is NmtState.OPERATIONAL
-
-
-# Without a node-ID.
 
 
 def test_without_a_node_id_there_is_lss_and_nothing_else(make: Callable[..., LssBench]) -> None:
@@ -197,9 +186,6 @@ def test_a_node_id_can_be_taken_away(make: Callable[..., LssBench]) -> None:
     assert bench.value(0x1014) == 0xA1
 
 
-# Fastscan.
-
-
 def fastscan(bench: LssBench, number: int, bit: int, part: int, following: int) -> list[str]:
     return bench.lss(0x51, *number.to_bytes(4, "little"), bit, part, following)
 
@@ -231,9 +217,6 @@ def test_an_impossible_part_or_one_out_of_turn_is_not_answered(make: Callable[..
     assert fastscan(bench, ADDRESS[1], 0, 1, 1) == []
 
 
-# Bit rate.
-
-
 def test_activation_is_told_with_the_delay(bench: LssBench) -> None:
     bench.configure()
     assert bench.lss(0x15, 0xE8, 0x03) == []
@@ -245,9 +228,6 @@ def test_activation_is_told_with_the_delay(bench: LssBench) -> None:
     bench.lss(0x04, 0)
     assert bench.lss(0x15, 0xE8, 0x03) == []
     assert len(bench.activated) == 1
-
-
-# Storing.
 
 
 def test_parameters_follow_the_stored_node_id_and_load_does_not_take_it_away(

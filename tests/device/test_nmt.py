@@ -35,9 +35,6 @@ def test_autostart_is_the_default_of_1f80(sample_path: Path, autostart: bool) ->
         assert bench.node.state is starting[-1]
 
 
-# What is dropped, what raises, and when the node wants to be called.
-
-
 DROPPED = [(can_id, bytes(9)) for can_id in (0x000, 0x080, 0x190, 0x620, 0x123)]
 DROPPED += [(can_id, bytes.fromhex(UPLOAD)) for can_id in (0x800, 0x1FFFFFFF, -1)]
 DROPPED += [(0x7E5, b"\x04\x01")]  # LSS has 8 bytes

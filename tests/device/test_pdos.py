@@ -159,9 +159,6 @@ def test_two_rpdos_on_one_can_id_and_one_without_mapping(bench: Bench) -> None:
     assert (value(bench, 1), value(bench, 4)) == (5, 5)
 
 
-# Mapping
-
-
 def test_the_whole_procedure_takes_effect_in_operational_too(bench: Bench) -> None:
     bench.operational()
     assert remap(bench, 0x1800, [0x20100210]) == [OK] * 5

@@ -59,9 +59,6 @@ def values(bench: StoringBench) -> list[object]:
     return [bench.value(index) for index, _ in PARAMETERS]
 
 
-# 1010h and 1011h as SDO sees them.
-
-
 def test_without_a_store_it_says_so_and_the_defaults_come_with_a_reset(path: Path) -> None:
     bench = StoringBench(path, None)
     change(bench)
@@ -84,9 +81,6 @@ def test_a_store_that_fails_is_a_hardware_error_and_changes_nothing(path: Path) 
     bench.nmt(RESET_NODE)
     assert values(bench) == DEFAULTS
     assert bench.load() == OK  # there is nothing to forget
-
-
-# What is kept, and what comes back when.
 
 
 PLACES_OF = {ALL: (0, 1, 2, 3), COMMUNICATION: (0, 3), APPLICATION: (1,), MANUFACTURER: (2,)}
@@ -141,8 +135,6 @@ def test_what_is_saved_comes_back_and_what_is_not_or_was_forgotten_does_not(
             now = chosen(places, kept, now)
         assert [*values(bench), bench.value(VERIFY, 1)] == now
 
-
-# Stored parameters that must not be used.
 
 GROUP = ParameterGroup.COMMUNICATION
 IDENTITY = Identity(0, 0, 0)  # that of the sample device, whose 1018h has a vendor-ID alone
@@ -267,9 +259,6 @@ def test_an_image_with_fewer_entries_leaves_the_others_alone(path: Path) -> None
     assert all_values(bench) == before | {(0x1017, 0): 100}
 
 
-# How long a fault lasts.
-
-
 @pytest.mark.parametrize("whole", [False, True])
 def test_a_store_that_cannot_be_read_is_a_fault(path: Path, saved: MemoryStore, whole: bool) -> None:
     error = OSError(5, "Input/output error")
@@ -288,9 +277,6 @@ def test_a_store_that_cannot_be_read_is_a_fault(path: Path, saved: MemoryStore, 
     assert bench.value(0x2025) == (0 if whole else 50)
     assert bench.save() == OK
     assert bench.faults[1:] == [{}]
-
-
-# Any bytes, any configuration.
 
 
 @given(st.binary(max_size=200), st.booleans())

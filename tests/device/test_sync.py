@@ -116,9 +116,6 @@ def test_the_window_for_rpdos(sample_path: Path, steps: list[tuple[int, Any]]) -
     assert bench.node.counters.late_rpdos == late
 
 
-# TIME
-
-
 def test_the_time_is_told_if_it_is_one(bench: Bench) -> None:
     seen = told_of(bench, "time_received")
     bench.send(TIME, TIME_DATA)

@@ -327,8 +327,6 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         if job is not None:
             self.late.append(job)
 
-    # commands
-
     @rule(task=st.sampled_from([Command.START, Command.CHECK]), wanted=NUMBERS, later=NUMBERS, count=COUNTS)
     def start(self, task: Command, wanted: int, later: int, count: int = 0) -> None:
         """The number of samples is that of the start."""
@@ -376,8 +374,6 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         self.remember_job()
         self.computed()
 
-    # the computation
-
     @precondition(lambda self: self.state is State.COMPUTING)
     @rule()
     def computed(self) -> None:
@@ -405,8 +401,6 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         result = OSError() if crashed else good_outcome()
         self.bench.module.finish_job(self.late.pop(), result, self.bench.bus.now)
 
-    # samples
-
     @rule(count=st.integers(1, 90), lost=st.booleans())
     def samples(self, count: int, lost: bool) -> None:
         """Each that came is published; a missing one is seen with the SYNC after it."""
@@ -422,8 +416,6 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
             self.recorded += count
             if self.recorded >= self.wanted:
                 self.state, self.part = State.COMPUTING, 0.0
-
-    # other things that a master does
 
     @rule(table=st.sampled_from(TABLES), again=st.booleans())
     def stage(self, table: CorrectionTable, again: bool) -> None:
@@ -473,8 +465,6 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
             self.bench.sent(Frame(0x620, bytes.fromhex(request)))
         self.bench.sdo.responses.queue.clear()
 
-    # NMT
-
     @rule(command=st.sampled_from(["PRE-OPERATIONAL", "STOPPED", "OPERATIONAL", "RESET COMMUNICATION"]))
     def nmt(self, command: str) -> None:
         self.bench.remote.nmt.state = command
@@ -494,8 +484,6 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         assert self.bench.sdo[0x2030][10].raw == 20000
         self.operational = False
         self.power_on()
-
-    # what holds at any time
 
     @invariant()
     def the_state_is_as_it_must_be(self) -> None:

@@ -37,9 +37,6 @@ IDENTITY = Identity(0, 1, 1)
 TABLE = wavy_table()
 
 
-# What must not be used.
-
-
 @pytest.mark.parametrize("ended_by", ["save", "load"])
 def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm_until(ended_by: str) -> None:
     store = MemoryStore()
@@ -93,9 +90,6 @@ def test_the_encoder_interface_keeps_its_communication_parameters() -> None:
     store.images[ParameterGroup.COMMUNICATION] = b"?"
     frames = EncoderInterface(16, Still(), store=store).start(0.0)
     assert [frame.data.hex() for frame in frames] == ["00", "1063010200000000"]
-
-
-# Any configuration.
 
 
 def is_accepted(fields: dict[str, Any]) -> bool:
