@@ -31,8 +31,6 @@ class EdsEntry:
 
 
 class Eds:
-    """One EDS file for a node-ID."""
-
     def __init__(self, name: str, node_id: int) -> None:
         self.name, self.node_id = name, node_id
         text = eds_of(name, node_id)

@@ -71,8 +71,6 @@ def only(frames: Iterable[Heard], can_id: int) -> list[str]:
 
 @dataclass
 class Tester:
-    """Everything a tester at the other end of the bus has."""
-
     __test__: ClassVar[bool] = False  # for pytest: its name is all it has of a test
     kind: str
     device: Any
@@ -149,7 +147,6 @@ class Tester:
         return answers
 
     def ask(self, request: str) -> str:
-        """The one answer to a frame."""
         (answer,) = self.sdo(request)
         return answer
 
@@ -196,7 +193,6 @@ class Tester:
         return hexes(abort) or "ok"
 
     def block_upload(self, multiplexer: str, **options: Any) -> bytes:
-        """A whole object."""
         ask = partial(self.answers, wait=0.2)
         return sdo_client.block_upload(ask, bytes.fromhex(multiplexer), **options)
 

@@ -13,8 +13,6 @@ from conformance_kit import INTERFACE, MODULE
 
 @dataclass(frozen=True)
 class NotApplicable:
-    """Why a case does not apply."""
-
     why: str
     absent: tuple[tuple[int, int], ...] = ()
 

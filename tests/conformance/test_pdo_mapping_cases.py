@@ -111,7 +111,6 @@ def test_pdo_25_and_26_more_objects_than_places_and_more_bits_than_a_frame_has(
 
 
 def takes(tester: Tester, pdo: Pdo, *values: int) -> None:
-    """Each object, mapped alone."""
     for value in values:
         empty(tester, pdo)
         tester.accept(mapping(pdo, value))

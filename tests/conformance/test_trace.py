@@ -76,7 +76,6 @@ def candump_log(tester: Tester) -> str:
 
 
 def decoded(log: str, folder: Path, *options: str) -> str:
-    """What tshark makes of the log."""
     path = folder / "session.log"
     path.write_text(log)
     command = [TSHARK or "tshark", "-r", str(path), "-d", "can.subdissector,canopen", *options]

@@ -38,8 +38,6 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class BrokenStore(MemoryStore):
-    """Gives what it has; saving fails."""
-
     def save(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
         raise OSError(28, "No space left on device")
 

@@ -108,7 +108,6 @@ def types(eds: EdsText) -> Iterator[object]:
 
 
 def access(eds: EdsText) -> Iterator[object]:
-    """Access and PDO mapping."""
     for (index, sub), entry in eds.entries.items():
         mapping = 0x1600 <= index < 0x1800 or 0x1A00 <= index < 0x1C00
         allowed = {"ro", "const", "rw"} if index < 0x2000 else {"ro", "const", "rw", "wo", "rww", "rwr"}

@@ -26,7 +26,6 @@ with a string in place of each."""
 
 
 def complaints(command: tuple[str, ...], path: Path) -> set[str]:
-    """All that a checker prints."""
     done = python(*command, str(path))
     lines = {line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()}
     assert bool(done.returncode) <= bool(lines), "it failed without a word"

@@ -29,7 +29,6 @@ class Said(NamedTuple):
 
 
 def entries_of(eds: str) -> dict[Multiplexer, Said]:
-    """What an EDS calls its entries."""
     contents = read(eds_path(eds))
     names = {section: contents[section]["ParameterName"] for section in filter(ENTRY.match, contents)}
     found = {}

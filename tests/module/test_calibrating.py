@@ -114,13 +114,11 @@ class Measuring(Bench):
 
     @property
     def job(self) -> CalibrationJob:
-        """The pending one."""
         job = self.module.pending_job()
         assert job is not None
         return job
 
     def compute(self) -> Outcome:
-        """Do the pending job, here."""
         result = self.job()
         assert self.finish_with(result) == []
         return result

@@ -58,8 +58,6 @@ happenings = st.lists(
 
 
 class Observer:
-    """Sees samples, and forgets them."""
-
     def take(self, sample: Sample, feedback: Feedback) -> None: ...
 
     def miss(self) -> None: ...

@@ -34,7 +34,6 @@ from played import Sender
 
 
 def station(bus: EmbeddedBus, **options: Any) -> FakeDevice:
-    """A device on the bus."""
     clock: Any = bus
     made = FakeDevice(clock, **options)
     bus.attach(made)
