@@ -94,8 +94,7 @@ class Bench:
         head = bytes([0x23 | (4 - size) << 2, index & 0xFF, index >> 8, subindex])
         data = head + value.to_bytes(size, "little").ljust(4, b"\x00")
         response = f"{0x580 + ID:03X}#"
-        answers = [text for text in self.send(0x600 + ID, data) if text.startswith(response)]
-        (answer,) = answers
+        (answer,) = [text for text in self.send(0x600 + ID, data) if text.startswith(response)]
         raw = bytes.fromhex(answer.removeprefix(response))
         assert raw[1:4] == data[1:4]
         if raw[0] == 0x80:

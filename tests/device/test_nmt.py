@@ -22,11 +22,9 @@ UPLOAD = "4000100000000000"
 def test_autostart_is_the_default_of_1f80(sample_path: Path, autostart: bool) -> None:
     bench = Bench(Dictionary.load(sample_path, ID), autostart=autostart)
     default, other = (0, 4) if autostart else (4, 0)
-    states: list[NmtState] = []
-    bench.application.react(state_changed=lambda old, new, now, why: states.append(new))
     starting = [NmtState.PRE_OPERATIONAL, *[NmtState.OPERATIONAL] * autostart]
     assert bench.start() == ["720#00"]
-    assert states == starting
+    assert [new for _, new, *_ in bench.application.told("state_changed")] == starting
     for command in (129, 130):
         assert bench.write(0x1F80, 0, other, 4) == OK
         assert (bench.read(0x1F80), bench.node.state) == (other, starting[-1])

@@ -76,8 +76,6 @@ def test_lengths_and_the_time_out(
     bench.nmt(1 if late else 128)
     bench.write(0x1400, 5, timeout_ms, 2)
     bench.operational()
-    bad: list[object] = []
-    bench.application.react(rpdo_too_short=lambda *arguments: bad.append(arguments))
     errors, seen, end, counts = Errors(), list[str](), float("inf"), {"short": 0, "long": 0}
     held, taken = 0, [0]
     for number, (wait_ms, length) in enumerate(frames, 1):
@@ -90,7 +88,7 @@ def test_lengths_and_the_time_out(
             counts["short"] += 1
             errors.report(TOO_SHORT, 1, length, 4)
             errors.clear(TOO_LONG)
-            assert bad[-1] == (1, length, 4, bench.now)
+            assert bench.application.told("rpdo_too_short")[-1] == (1, length, 4, bench.now)
         else:
             if length > 4:
                 counts["long"] += 1
@@ -110,7 +108,7 @@ def test_lengths_and_the_time_out(
     assert seen == errors.sent
     counters = bench.node.counters
     assert {"short": counters.short_rpdos, "long": counters.long_rpdos} == counts
-    assert len(bad) == counts["short"]
+    assert len(bench.application.told("rpdo_too_short")) == counts["short"]
     assert bench.read(0x1001) == (0x11 if errors.active else 0)
     assert not errors.last or bench.read(0x1003, 1) == errors.last
     assert bench.nmt(128) == bench.run(1.0) == []  # no time-out there
