@@ -87,8 +87,7 @@ RESTRICTED = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0
 
 
 def test_other_10_restricted_can_ids(tester: Tester) -> None:
-    places = [(0x1005, 0), (0x1012, 0), (0x1014, 0), (0x1400, 1), (0x1800, 1)]
-    for place in places:
+    for place in ((0x1005, 0), (0x1012, 0), (0x1014, 0), (0x1400, 1), (0x1800, 1)):
         if not tester.eds.has(*place):
             continue
         before = tester.read(*place)

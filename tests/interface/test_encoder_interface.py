@@ -168,11 +168,6 @@ def test_a_source_that_fails_is_one_emcy_until_it_has_worked_for_a_second() -> N
 FULL = Sample(1, -2, coarse_sine=3, coarse_cosine=-4, zero_pulse=0.25)
 
 
-def running(*samples: Sample | None, **words: Any) -> EncoderInterface:
-    """It plays these samples, the last one again and again; None is a sample lost."""
-    return operational(repeated(*samples), **words)
-
-
 @each(
     "times, sample, data",
     [
@@ -184,13 +179,13 @@ def running(*samples: Sample | None, **words: Any) -> EncoderInterface:
 def test_tpdo1_is_both_tracks_with_times_the_sample_time_and_nothing_else_goes_out(
     times: bool, sample: Sample, data: bytes
 ) -> None:
-    interface = running(sample, times=times, clock=SampleClock(0.0, 1000))
+    interface = operational(Listed([sample]), times=times, clock=SampleClock(0.0, 1000))
     assert interface.receive(SYNC, 0.5) == [Frame(0x190, data)]
 
 
 def test_the_sample_time_is_that_of_the_reception_by_the_clock_of_the_bus() -> None:
     """Whenever the program comes round to the SYNC; a stamp of some other clock is not used."""
-    interface = running(FULL, times=True)
+    interface = operational(repeated(FULL), times=True)
     stamps = [
         struct.unpack_from("<I", interface.receive(SYNC._replace(timestamp=stamp), 2.0)[0].data, 4)[0]
         for stamp in (1.9995, None, 2.1, 1.7e9, -20.0)
@@ -200,7 +195,8 @@ def test_the_sample_time_is_that_of_the_reception_by_the_clock_of_the_bus() -> N
 
 def test_tpdo2_holds_coarse_track_flags_and_zero_pulse() -> None:
     """It is switched on as a master does it, by its COB-ID alone."""
-    interface = running(FULL, None, Sample(1, -2, invalid=True), FULL._replace(zero_pulse=1.0))
+    samples = FULL, None, Sample(1, -2, invalid=True), FULL._replace(zero_pulse=1.0)
+    interface = operational(Listed(samples))
     (answer,) = interface.receive(download(0x1801, 1, 0x40000280 + NODE), 0.0)
     assert answer.data[0] == 0x60
     sent = [interface.receive(SYNC, 0.001 * n) for n in range(4)]

@@ -22,6 +22,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit as Bit
 from canfb.signal.correction import CorrectionTable
+from ideal_tracks import counts_at
 
 SYNC, ADC_PDO, POSITION_PDO, NODE = 0x80, 0x190, 0x1A0, 32
 UNITS = 8192  # of 6004h in a cycle
@@ -100,8 +101,7 @@ class ModuleMachine(RuleBasedStateMachine):
         self.position += self.speed
 
     def _counts(self, position: float, amplitude: float = 1500.0) -> tuple[int, int]:
-        angle = 2.0 * math.pi * position
-        sine, cosine = (round(amplitude * track) for track in (math.sin(angle), math.cos(angle)))
+        sine, cosine = counts_at(position, amplitude)
         return max(-2048, min(2047, sine)), max(-2048, min(2047, cosine))
 
     def _sample(self, shift: float = 0.0, amplitude: float = 1500.0, *, axis: bool = False) -> None:

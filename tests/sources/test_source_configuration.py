@@ -159,8 +159,7 @@ def test_it_shows_every_kind() -> None:
 
 
 def test_the_example_of_the_command_shows_a_source() -> None:
-    lines = [line.split("#")[1].strip() for line in EXAMPLE.splitlines() if "# source:" in line]
-    (source,) = lines
+    (source,) = [line.split("#")[1].strip() for line in EXAMPLE.splitlines() if "# source:" in line]
     config = parse_config(f"modules:\n  - node_id: 32\n    {source}\n")
     assert isinstance(config.modules[0].source, IioSourceConfig)
 
