@@ -15,7 +15,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 class LineOutput:
     """Writes lines to ``descriptor`` as far as it takes them; MOST_LINES wait, also for a full disk.
 
-    ``excuse`` makes the line for those left out. OSError as write(2), for a full disk at the end only.
+    ``excuse`` makes the line for those left out. OSError as write(2), for a full disk at the end.
     """
 
     def __init__(self, descriptor: int, excuse: Callable[[int], str], encoding: str = "utf-8") -> None:

@@ -113,7 +113,6 @@ def install(
 
 
 def write_corners(module: NodeAccess, corners: Corners) -> None:
-    """``corners`` are in REAL32."""
     if read_corners(module) == corners:
         return
     for place, value in zip(CORNERS, astuple(corners), strict=True):

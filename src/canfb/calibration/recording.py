@@ -301,7 +301,7 @@ FAR = 0.03
 
 def find_lock(sine: FloatArray, cosine: FloatArray) -> Fraction | None:
     """Cycles per sample, less whole ones, of locked tracks (ADC counts, NaN for a missed sample); None
-    without a lock, below 256 samples, or if all are missed.
+    without a lock, below 256 samples, or with all missed.
 
     Locked at p/q, each q-th sample lies at the same place; here for q up to 16, on windows of 256.
     """

@@ -47,14 +47,13 @@ def sync_master(options: argparse.Namespace, config: Config) -> Iterator[tuple[B
 
 @contextlib.contextmanager
 def guarded(stays: str = "") -> Iterator[Guard]:
-    """For what changes a node: a signal puts back what was, but for what ``stays``."""
+    """For what changes a node: a signal puts back all but what ``stays``."""
     guard, as_before = Guard(), f"an unfinished change is undone{stays}"
     with shown_progress(quiet=True, interrupted=as_before), ending_on_signals(guard.interrupt):
         yield guard
 
 
 def say_result(options: argparse.Namespace, result: Result, progress: Progress | None = None) -> int:
-    """``progress`` is taken away first."""
     if progress is not None:
         progress.clear()
     print(json.dumps(result.figures, indent=2) if options.json else "\n".join(result.lines))

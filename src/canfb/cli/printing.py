@@ -42,7 +42,7 @@ def reader_may_go(stream: TextIO) -> Iterator[None]:
 
 
 def drop_output(stream: TextIO) -> None:
-    """What is written to it from now on, and at the end of Python, goes nowhere."""
+    """What is written from now on goes nowhere."""
     with contextlib.suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), stream.fileno())
 

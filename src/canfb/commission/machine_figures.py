@@ -46,7 +46,7 @@ class MotionFigures:
     acceleration, jerk   the largest, noise taken off
     noise                rms of the phase of a sample at the speeds at which it is largest
     residual             second difference at each sample from the third on; NaN where not known
-    fitted_error         significant error of the phase, by a fit; NaN: the same few phases came
+    fitted_error         of the phase, significant; NaN: the same few phases came
     """
 
     slowest: float
@@ -120,7 +120,7 @@ def _fitted_error(samples: SupervisedSamples) -> float:
 def errors_of_parts(samples: SupervisedSamples, parts: int) -> tuple[FloatArray, FloatArray]:
     """Errors over the phase in parts of the time, by least squares from the residuals, and their noise.
 
-    Cycles, shapes (parts, BINS) and (parts,); noise inf: the same few phases came.
+    Cycles, shapes (parts, BINS), (parts,); noise inf: the same few phases came.
     """
     elapsed, speed = samples.elapsed[1:, None], samples.speed[:, None]
     columns = np.diff(np.diff(_errors(samples.position), axis=0) / elapsed, axis=0) * elapsed[1:]

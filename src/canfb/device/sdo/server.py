@@ -36,8 +36,8 @@ _DYNAMIC = 1 << 30
 class SdoServer(Timed):
     """One channel, with the COB-IDs of `index`; it exists while both are valid. The first is always there.
 
-    Serves one client at a time, with a transfer and a time-out of its own. A request that is not 8 bytes long
-    is ignored; a new one within a transfer gives the old one up.
+    Serves one client at a time. A request that is not 8 bytes long is ignored; a new one within a transfer
+    gives the old one up.
     """
 
     def __init__(self, core: Core, index: int) -> None:

@@ -86,7 +86,7 @@ def keep(images: dict[ParameterGroup, bytes], changes: Mapping[ParameterGroup, b
 
 
 class Storage(Timed):
-    """The parameters of one device in a `Store`, which gets changes one by one.
+    """The parameters of one device in a `Store`.
 
     `entries` are the stored parameters. `faults` says by group why stored ones were refused: their defaults
     are used until the group is saved or its defaults are loaded. Without a store nothing is kept: 1010h reads
