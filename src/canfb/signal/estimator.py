@@ -166,11 +166,11 @@ class Estimator:
         self.places.clear()
         self.places.extend(place for place in places if place is not None)
 
-    def go_on(self, tracked: TrackResult, start: int, stop: int) -> None:
-        """Samples start..stop of a run on arrays, one at least, were counted by eq. 9."""
-        new = slice(max(start, stop - REMEMBERED_SAMPLES), stop)
-        counts, phases = tracked.cycles[new].tolist(), tracked.phase[new].tolist()
-        self.tracker.go_on(tracked, stop)
+    def go_on(self, run: TrackResult, taken: int) -> None:
+        """The first samples of a ``run`` on arrays were counted by eq. 9; ``taken`` > 0."""
+        new = slice(max(0, taken - REMEMBERED_SAMPLES), taken)
+        counts, phases = run.cycles[new].tolist(), run.phase[new].tolist()
+        self.tracker.go_on(run, taken)
         if not self.lost:
             self.places.extend((count, phase, 1.0) for count, phase in zip(counts, phases, strict=True))
 

@@ -33,7 +33,7 @@ from canfb.signal.supervision import (
     Supervision,
     repeats,
 )
-from canfb.signal.tracker import NOT_USUAL, Track, TrackResult, continues, count_run
+from canfb.signal.tracker import NOT_USUAL, Track, TrackResult, count_run
 from canfb.signal.witness.reference import Reference
 from canfb.signal.witness.second import SecondPosition
 from canfb.signal.witness.witness import CoarseTrack
@@ -398,8 +398,9 @@ class Stages:
 
     # Runs on arrays (:mod:`canfb.signal.stream`).
 
-    def continues(self, tracked: TrackResult, at: int) -> bool:
-        """:meth:`follow_run` may begin at ``at``: what eq. 9 needs stands before, and nothing is in doubt."""
+    @property
+    def may_run(self) -> bool:
+        """:meth:`follow_run` may begin: eq. 9 needs no more than it has, and nothing is in doubt."""
         doubts = (
             self.estimator.in_doubt
             or self.estimator.searches
@@ -407,39 +408,35 @@ class Stages:
             or self.reference.in_doubt
             or (self._frozen.frozen_samples and self._frozen.repeats)
         )
-        return not doubts and continues(self._tracker, tracked, at)
+        return self._tracker.is_steady and not doubts
 
-    def follow_run(
-        self, sine: AnyArray, cosine: AnyArray, tracked: TrackResult, run: slice, scratch: Scratch
-    ) -> int:
+    def follow_run(self, sine: AnyArray, cosine: AnyArray, run: TrackResult, scratch: Scratch) -> int:
         """:meth:`take` for a run of samples, one interval apart, that keep the limits of one sample.
 
-        Only where :meth:`continues`. ``tracked.phase[run]`` are the corrected phases; the rest of
-        ``tracked[run]`` is filled. The result is the number of samples taken: those before the first with a
-        residual over the limit (unless the position is lost) or a frozen input.
+        Only where :attr:`may_run`. ``run.phase`` are the corrected phases; the rest of ``run`` is filled. The
+        result is the number of samples taken: those before the first with a residual over the limit (unless
+        the position is lost) or a frozen input.
         """
-        start: int = run.start
-        cycles, phase = tracked.cycles, tracked.phase
         estimator, tracker = self.estimator, self._tracker
-        count_run(tracker, tracked, run, scratch)
-        followed = estimator.lost or tracked.ok[run].all()
-        stop: int = run.stop if followed else start + int(tracked.ok[run].argmin())
-        if stop > start and self._frozen.frozen_samples:
+        count_run(tracker, run, scratch)
+        followed = estimator.lost or run.ok.all()
+        taken = len(sine) if followed else int(run.ok.argmin())
+        if taken and self._frozen.frozen_samples:
             before = self._sine, self._cosine
-            equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
-            stop = stop if equal is None else start + self._frozen.before_row(equal)
-        if stop == start:
+            equal = repeats(sine[:taken], cosine[:taken], before, scratch.bit)
+            taken = taken if equal is None else self._frozen.before_row(equal)
+        if not taken:
             return 0
-        last = stop - 1
-        self.place = Track(int(cycles[last]), float(phase[last]), float(tracked.residual[last]), True)
-        estimator.go_on(tracked, start, stop)
-        self._sine, self._cosine = float(sine[last - start]), float(cosine[last - start])
+        last = taken - 1
+        self.place = Track(int(run.cycles[last]), float(run.phase[last]), float(run.residual[last]), True)
+        estimator.go_on(run, taken)
+        self._sine, self._cosine = float(sine[last]), float(cosine[last])
         self.last = None
         self._speed = tracker.step_cycles
         self.was_valid = 0 if estimator.lost else VALID
-        if estimator.lost and not tracked.ok[start:stop].all():
+        if estimator.lost and not run.ok[:taken].all():
             self.reference.slipped()
-        self.clock += stop - start
-        self.samples += stop - start
+        self.clock += taken
+        self.samples += taken
         self._nothing_in_doubt = False
-        return stop - start
+        return taken

@@ -23,11 +23,8 @@ from canfb.signal.correction import AnyTable, CorrectionTable, correction_of
 from canfb.signal.phase import AnyArray, FloatArray, check_counts, pair_of_tracks, raw_phase_block, wrap_block
 from canfb.signal.stages import Stages
 from canfb.signal.supervision import LOST, RESIDUAL, VALID, SampleLimits
-from canfb.signal.tracker import RESIDUAL_LIMIT, TrackResult, write_places_before
+from canfb.signal.tracker import RESIDUAL_LIMIT, TrackResult
 
-# The prediction needs the two or three samples before a block. Their room is one line of the cache, so that
-# the block itself begins at the next one.
-BEFORE = 8
 # To start on arrays takes as long as some single samples; fewer than these are taken one by one.
 SHORTEST_BLOCK = 16
 SHORTEST_RUN = 10
@@ -61,9 +58,8 @@ class ChainResult:
     @classmethod
     def empty(cls, samples: int) -> ChainResult:
         """Arrays of this length, any content."""
-        phase, residual, amplitude, raw_phase = (np.empty(samples) for _ in range(4))
-        cycles, status = np.empty(samples, np.int64), np.empty(samples, np.uint16)
-        return cls(cycles, phase, residual, amplitude, raw_phase, status)
+        kinds = (np.int64, *[np.float64] * 4, np.uint16)
+        return cls(*(aligned(samples, kind) for kind in kinds))
 
     def part(self, samples: slice) -> ChainResult:
         """The same arrays, of these samples only."""
@@ -148,7 +144,6 @@ class Stream:
         self._run_samples = FIRST_RUN
         self._is_first = True
         self._scratch = scratch_for(BLOCK_SAMPLES)
-        self._ok = np.empty(BEFORE + BLOCK_SAMPLES, np.bool_)
 
     def tracks(self, block: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[AnyArray, AnyArray]:
         if not hasattr(block, "__len__"):
@@ -164,22 +159,13 @@ class Stream:
 
     def take(self, sine: AnyArray, cosine: AnyArray) -> ChainResult:
         samples = len(sine)
-        cycles = aligned(BEFORE + samples, np.int64)
-        phase, residual = (aligned(BEFORE + samples, np.float64) for _ in range(2))
-        amplitude, raw, status = (aligned(samples, kind) for kind in (np.float64, np.float64, np.uint16))
-        result = ChainResult(cycles[BEFORE:], phase[BEFORE:], residual[BEFORE:], amplitude, raw, status)
-        write_places_before(
-            self._stages.estimator.tracker, TrackResult(cycles, phase, residual, self._ok), BEFORE
-        )
+        result = ChainResult.empty(samples)
         for start in range(0, samples, BLOCK_SAMPLES):
             part = slice(start, min(start + BLOCK_SAMPLES, samples))
-            room = slice(start, BEFORE + part.stop)
-            tracked = TrackResult(cycles[room], phase[room], residual[room], self._ok)
-            self._take_part(_counts(sine[part]), _counts(cosine[part]), result.part(part), tracked)
+            self._take_part(_counts(sine[part]), _counts(cosine[part]), result.part(part))
         return result
 
-    def _take_part(self, sine: AnyArray, cosine: AnyArray, result: ChainResult, tracked: TrackResult) -> None:
-        """``tracked`` is the same memory as ``result``, with the samples before."""
+    def _take_part(self, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> None:
         samples = len(sine)
         # At another speed, or after a drift, a phase is another one: each needs the samples before it.
         on_arrays = samples >= SHORTEST_BLOCK and not self._stages.tracks.depends_on_past
@@ -188,8 +174,8 @@ class Stream:
         for fault in [*bad, samples]:
             while k < fault:
                 long = on_arrays and fault - k >= SHORTEST_RUN
-                if long and self._stages.continues(tracked, BEFORE + k):
-                    k = self._run(k, fault, sine, cosine, result, tracked)
+                if long and self._stages.may_run:
+                    k = self._run(k, fault, sine, cosine, result)
                 else:
                     self._step(k, sine, cosine, result)
                     k += 1
@@ -238,23 +224,16 @@ class Stream:
             good &= (track > lowest) & (track < highest)
         return np.flatnonzero(~good).tolist()
 
-    def _run(
-        self,
-        k: int,
-        fault: int,
-        sine: AnyArray,
-        cosine: AnyArray,
-        result: ChainResult,
-        tracked: TrackResult,
-    ) -> int:
+    def _run(self, k: int, fault: int, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> int:
         length = min(fault - k, self._run_samples)
-        run, scratch = slice(BEFORE + k, BEFORE + k + length), self._scratch.head(length)
-        counts = sine[k : k + length], cosine[k : k + length]
-        taken = self._stages.follow_run(*counts, tracked, run, scratch)
+        run, scratch = slice(k, k + length), self._scratch.head(length)
+        ok = scratch.bits[1]  # free by now
+        tracked = TrackResult(result.cycles[run], result.phase[run], result.residual[run], ok)
+        taken = self._stages.follow_run(sine[run], cosine[run], tracked, scratch)
         status = result.status[k : k + taken]
         if self._stages.estimator.lost:
             status[:] = LOST | self._stages.base_status
-            status[~tracked.ok[run.start : run.start + taken]] |= RESIDUAL
+            status[~ok[:taken]] |= RESIDUAL
         else:
             status[:] = VALID | self._stages.base_status
         k += taken

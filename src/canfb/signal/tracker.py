@@ -114,10 +114,10 @@ class Tracker:
         self._find_speed()
 
     def go_on(self, result: TrackResult, stop: int) -> None:
-        """Go on behind the samples of ``result`` up to ``stop``, counted one interval apart."""
-        before, last = (
-            Track(int(result.cycles[at]), float(result.phase[at]), 0.0, True) for at in (stop - 2, stop - 1)
-        )
+        """Go on behind the samples of ``result`` up to ``stop``, one at least, counted one interval apart."""
+        new = range(max(0, stop - 2), stop)
+        counted = (Track(int(result.cycles[at]), float(result.phase[at]), 0.0, True) for at in new)
+        *_, before, last = self.places[1], *counted
         self.set_places(before, last)
 
     def shift(self, cycles: int, step_cycles: int) -> None:
@@ -241,6 +241,12 @@ class TrackResult:
             np.empty(samples, np.int64), np.empty(samples), np.empty(samples), np.empty(samples, np.bool_)
         )
 
+    def part(self, samples: slice) -> TrackResult:
+        """The same arrays, of these samples only."""
+        return TrackResult(
+            self.cycles[samples], self.phase[samples], self.residual[samples], self.ok[samples]
+        )
+
 
 def split(position: float) -> tuple[int, float]:
     """A position in cycles as whole cycles and phase, 0 <= phase < 1."""
@@ -267,9 +273,6 @@ def check_residual_limit(limit: float) -> float:
     if not isinstance(limit, (int, float, np.floating)) or not 0.0 < limit <= 0.5:
         raise ValueError(f"residual_limit must be above 0 and at most 0.5 cycle, not {limit!r}")
     return float(limit)
-
-
-PLACES_BEFORE = 2  # a run starts from the samples that eq. 9 predicts by
 
 
 def track(phase: ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0) -> TrackResult:
@@ -301,12 +304,13 @@ def track_block(tracker: Tracker, result: TrackResult, part: slice, scratch: Scr
     start = part.start
     np.isnan(result.phase[part], out=scratch.bit)
     for gap in [*(np.flatnonzero(scratch.bit) + start).tolist(), part.stop]:
-        while start < gap and not continues(tracker, result, start):
+        while start < gap and not tracker.is_steady:
             _take_one(tracker, result, start)
             start += 1
         if start < gap:
-            count_run(tracker, result, slice(start, gap), scratch)
-            tracker.go_on(result, gap)
+            run = result.part(slice(start, gap))
+            count_run(tracker, run, scratch)
+            tracker.go_on(run, gap - start)
         if gap < part.stop:
             _take_one(tracker, result, gap)
         start = gap + 1
@@ -317,39 +321,24 @@ def _take_one(tracker: Tracker, result: TrackResult, at: int) -> None:
     result.cycles[at], result.phase[at], result.residual[at], result.ok[at] = one
 
 
-def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
-    if at < PLACES_BEFORE or not tracker.is_steady:
-        return False
-    before, last, _ = tracker.places
-    phases = result.phase[at - PLACES_BEFORE : at].tolist()
-    return [before.phase, last.phase] == phases and last.cycles == int(result.cycles[at - 1])
-
-
-def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
-    """What eq. 9 needs of a steady tracker, two places before ``at``; of another one, what nothing reads."""
-    before, last, _ = tracker.places
-    result.cycles[at - 2 : at] = before.cycles, last.cycles
-    result.phase[at - 2 : at] = before.phase, last.phase
-
-
-def count_run(tracker: Tracker, result: TrackResult, run: slice, scratch: Scratch) -> None:
-    """Samples that all have a phase, one interval apart: an integer cumulative sum. Where :func:`continues`.
-
-    ``tracker`` stays before them.
+def count_run(tracker: Tracker, run: TrackResult, scratch: Scratch) -> None:
+    """Samples that all have a phase, one interval apart: an integer cumulative sum. For a steady ``tracker``,
+    which stays before them.
     """
-    start, stop = run.start, run.stop
     before, last, _ = tracker.places
-    phase, residual = result.phase, result.residual[run]
-    c, turns, steps = (room[: stop - start] for room in (scratch.a, scratch.b, scratch.index))
-    np.multiply(phase[start - 1 : stop - 1], 2.0, out=c)
-    c -= phase[start - 2 : stop - 2]
-    c -= phase[run]
+    phase, residual = run.phase, run.residual
+    c, turns, steps = (room[: len(phase)] for room in (scratch.a, scratch.b, scratch.index))
+    twice = np.multiply(phase, 2.0, out=turns)
+    c[0] = 2.0 * last.phase - before.phase
+    c[1:2] = twice[:1] - last.phase
+    np.subtract(twice[1:-1], phase[:-2], out=c[2:])
+    c -= phase
     np.rint(c, out=turns)
     np.subtract(turns, c, out=c)
     np.abs(c, out=residual)
-    np.less(residual, tracker.residual_limit, out=result.ok[run])
+    np.less(residual, tracker.residual_limit, out=run.ok)
     steps[:] = turns
     steps[0] += last.cycles - before.cycles
     np.add.accumulate(steps, out=steps)
     steps[0] += last.cycles
-    np.add.accumulate(steps, out=result.cycles[run])
+    np.add.accumulate(steps, out=run.cycles)
