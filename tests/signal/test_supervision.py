@@ -158,7 +158,8 @@ NEVER = 600
 def first_proof(frozen_samples: int, speed: float, limit: float = 1 / 3) -> int:
     """The repeat that is called frozen."""
     frozen = FrozenInput(frozen_samples, limit)
-    answers = [frozen.repeated(speed) for _ in range(NEVER)]
+    frozen.speed_cycles = speed
+    answers = [frozen.take(True) for _ in range(NEVER)]
     assert set(answers) <= {False, True}
     first = answers.index(True) + 1 if True in answers else NEVER
     assert all(answers[first - 1 :]) or first == NEVER
@@ -251,10 +252,12 @@ def test_a_machine_stands_where_no_number_of_repeats_is_a_fault(
 ) -> None:
     frozen = FrozenInput(samples, 0.3)
     assert not frozen.stands
-    flagged = [frozen.repeated(speed)]
+    frozen.speed_cycles = speed
+    assert not frozen.stands
+    flagged = [frozen.take(True)]
     assert frozen.stands is stands
-    flagged += [frozen.repeated(speed) for _ in range(20)]
+    flagged += [frozen.take(True) for _ in range(20)]
     assert any(flagged) is not stands
-    frozen.goes_on(False)
+    assert not frozen.take(False)
     assert not frozen.stands
     assert frozen.repeats == 0

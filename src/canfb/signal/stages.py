@@ -91,7 +91,6 @@ class Stages:
         self.second: SecondPosition | None = None
         self.samples = 0
         self.clock = 0.0
-        self._stands = False  # the counts repeat, and the machine stands still
         self._forget_sample()
         self._make_reference(limits)
         self.set_limits(limits)
@@ -217,7 +216,6 @@ class Stages:
         ``timed``: its own time says so, and the next interval may be uneven. Without ``extras`` it comes in
         turn: after one interval, or where ``timed`` after no more than HOLE_INTERVALS.
         """
-        usual = self._nothing_in_doubt and extras is None
         tracks = self.tracks
         offset_s, gain_s, offset_c, factor_c, skew = tracks.coefficients
         lowest, highest, smallest, largest = self._supervision.bounds
@@ -236,14 +234,19 @@ class Stages:
         repeated = sine == self._sine and cosine == self._cosine
         residual = NOT_USUAL
         tracker, estimator = self._tracker, self.estimator
-        if usual and phase == phase and not (repeated and not self._stands):
+        if (
+            self._nothing_in_doubt
+            and extras is None
+            and phase == phase
+            and not (repeated and not self._frozen.repeats)  # then the machine stands
+        ):
             steady = tracker.elapsed == elapsed == 1.0
             limit = tracker.residual_limit if steady else estimator.limit_over(elapsed)
             residual = tracker.advance(phase, elapsed, limit)
         if residual < 0.0:
             return self._resolve(sine, cosine, (s, c, amplitude, raw, phase), elapsed, timed, extras)
-        if self._stands:
-            self._stands = self._frozen.goes_on(repeated)
+        if self._frozen.repeats:
+            self._frozen.take(repeated)
         cycles, speed = tracker.cycles, tracker.step_cycles
         estimator.places.append((cycles, phase, elapsed))
         self._sine, self._cosine = sine, cosine
@@ -273,18 +276,13 @@ class Stages:
         s, c, amplitude, raw, phase = stages
         sample, bad, unplaced, next_one, pulse, newest = extras or Extras(Sample(sine, cosine))
         faults = self._supervision.faults(sine, cosine, amplitude)
-        if sine == self._sine and cosine == self._cosine:
-            # Of the last steps any may have been bad.
-            if self._frozen.repeated(
-                0.0
-                if self._frozen.repeats
-                else speeds.least_speed(self.estimator.places, self.estimator.declared.bad_samples + 1)
-            ):
-                faults |= FROZEN
-        else:
-            self._sine, self._cosine = sine, cosine
-            self._frozen.repeats = 0
-        estimator, reference = self.estimator, self.reference
+        estimator, reference, frozen = self.estimator, self.reference, self._frozen
+        repeated = self.repeats(sine, cosine)
+        if repeated and not frozen.repeats:  # of the last steps any may have been bad
+            frozen.speed_cycles = speeds.least_speed(estimator.places, estimator.declared.bad_samples + 1)
+        if frozen.take(repeated):
+            faults |= FROZEN
+        self._sine, self._cosine = sine, cosine
         estimator.timed = timed
         measured = not (faults or bad) and phase == phase
         if measured and self._way is not None:
@@ -369,8 +367,7 @@ class Stages:
         in_doubt = (
             estimator.in_doubt or self.reference.in_doubt or self.second is not None or self._way is not None
         )
-        self._stands = frozen.stands
-        faulty = self._supervision.after_fault or (frozen.repeats and not self._stands)
+        faulty = self._supervision.after_fault or (frozen.repeats and not frozen.stands)
         if feedback.status & VALID and not (in_doubt or faulty or estimator.searches):
             self._nothing_in_doubt = True
             self._status = feedback.status & (VALID | TABLE_ACTIVE | REFERENCED)

@@ -4,7 +4,7 @@ itself although the machine moves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -46,12 +46,17 @@ class SampleLimits:
     amplitude_low_counts: float
     amplitude_high_counts: float
 
-    def bounds(self, after_fault: bool = False) -> tuple[float, float, float, float]:
+    def bounds(
+        self, after_fault: bool = False, amplitude_known: bool = True
+    ) -> tuple[float, float, float, float]:
         """Lowest and highest counts that are clipped, smallest and largest amplitude that are good.
 
-        ``after_fault``: with the hysteresis.
+        ``after_fault``: with the hysteresis. ``amplitude_known`` False: what the analog path leaves of the
+        amplitude is not known, and so low is lower.
         """
         full, low, high = self.full_scale_counts, self.amplitude_low_counts, self.amplitude_high_counts
+        if not amplitude_known:
+            low *= LEAST_LEFT
         if not after_fault:
             return -full, full - 1, low, high
         margin = min(CLIPPING_HYSTERESIS_COUNTS, full // 64)
@@ -67,24 +72,20 @@ class SampleLimits:
 class Supervision:
     """Checks one sample after the other against :class:`SampleLimits`, with hysteresis."""
 
-    __slots__ = ("_known", "_limits", "_narrow", "_usual", "after_fault", "bounds")
+    __slots__ = ("_known", "_limits", "after_fault", "bounds")
 
     def __init__(self, limits: SampleLimits) -> None:
         self.set_limits(limits)
 
     def set_limits(self, limits: SampleLimits) -> None:
-        self._limits, self._known, self.after_fault = limits, False, False
+        self._limits, self.after_fault = limits, False
         self.amplitude_known(True)
 
     def amplitude_known(self, known: bool) -> None:
         """False: the speed, and so what the analog path leaves of the amplitude, is not known."""
-        if known is not self._known:
-            low = self._limits.amplitude_low_counts
-            limits = self._limits if known else replace(self._limits, amplitude_low_counts=low * LEAST_LEFT)
-            self._usual, self._narrow = limits.bounds(), limits.bounds(after_fault=True)
-            self._known = known
-            # Those in force, for the hot path to compare with.
-            self.bounds = self._narrow if self.after_fault else self._usual
+        self._known = known
+        # Those in force, for the hot path to compare with.
+        self.bounds = self._limits.bounds(self.after_fault, known)
 
     def faults(self, sine: float, cosine: float, amplitude: float) -> int:
         """Status bits AMPLITUDE and CLIPPED of a sample: raw counts, conditioned amplitude.
@@ -97,10 +98,9 @@ class Supervision:
             bits = CLIPPED
         if not smallest <= amplitude <= largest:
             bits |= AMPLITUDE
-        if bits:
-            self.bounds, self.after_fault = self._narrow, True
-        else:
-            self.bounds, self.after_fault = self._usual, False
+        if (bits != 0) is not self.after_fault:
+            self.after_fault = bits != 0
+            self.amplitude_known(self._known)
         return bits
 
 
@@ -129,34 +129,26 @@ class FrozenInput:
     (2010:04) successive repeats, 0: off.
     """
 
-    __slots__ = ("_speed", "frozen_samples", "repeats", "residual_limit_cycles")
+    __slots__ = ("frozen_samples", "repeats", "residual_limit_cycles", "speed_cycles")
 
     def __init__(self, frozen_samples: int, residual_limit_cycles: float) -> None:
         self.frozen_samples = frozen_samples
         self.residual_limit_cycles = residual_limit_cycles
         self.repeats = 0
-        self._speed = 0.0
+        self.speed_cycles = 0.0
+        """Before the first repeat, cycles per interval."""
 
-    def repeated(self, speed_cycles: float) -> bool:
-        """The counts are those of the sample before; True if the input is frozen.
-
-        ``speed_cycles`` before this sample, cycles per interval; looked at with the first repeat only.
-        """
-        if self.repeats == 0:
-            self._speed = speed_cycles
+    def take(self, repeated: bool) -> bool:
+        """A sample, with the counts of the one before if ``repeated``; True if the input is frozen."""
+        if not repeated:
+            self.repeats = 0
+            return False
         self.repeats += 1
         return not self.stands and self.repeats >= self.frozen_samples
 
-    def goes_on(self, repeated: bool) -> bool:
-        if repeated:
-            self.repeated(self._speed)
-        else:
-            self.repeats = 0
-        return repeated
-
     @property
     def stands(self) -> bool:
-        slow = not self.frozen_samples or abs(self._speed) < self.residual_limit_cycles
+        slow = not self.frozen_samples or abs(self.speed_cycles) < self.residual_limit_cycles
         return self.repeats > 0 and slow
 
     def before_row(self, equal: BoolArray) -> int:
