@@ -36,4 +36,4 @@ class Resolving(Stages):
 
     def _look_again(self, feedback: Feedback) -> None:
         super()._look_again(feedback)
-        self._nothing_in_doubt = False
+        self._usual_status = 0

@@ -56,7 +56,6 @@ class SignalChain:
         self._left_out = 0.0  # since then, of samples that were crowded
         self._unused = 0.0  # and of those with a wrong time that were not used, as the machine had moved
         self._untimed_unit_s = config.interval_s
-        self.set_limits(config.chain_limits)
 
     # What it is told between two samples.
 

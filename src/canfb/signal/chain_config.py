@@ -171,16 +171,12 @@ class ChainConfig:
         )
 
 
-def check_config(config: object) -> None:
-    if not isinstance(config, ChainConfig):
-        raise TypeError(f"config must be a ChainConfig, not {type(config).__name__}")
-
-
 def with_correction(config: ChainConfig, table: AnyTable) -> tuple[ChainConfig, CorrectionTable | None]:
     """``config`` with the conditioning that ``table`` has if it is a calibration, and the table alone.
 
     TypeError for what is no configuration; errors of :func:`.correction_of`.
     """
-    check_config(config)
+    if not isinstance(config, ChainConfig):
+        raise TypeError(f"config must be a ChainConfig, not {type(config).__name__}")
     used = correction_of(table, None if config.conditioning.is_identity else config.conditioning)
     return replace(config, conditioning=used.conditioning), used.table

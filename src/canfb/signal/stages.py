@@ -13,7 +13,7 @@ from canfb.signal import speeds
 from canfb.signal.adaptation import AdaptConfig, FollowedDrift
 from canfb.signal.blocks import Scratch
 from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL
-from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
+from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.conditioner import Conditioner
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.estimator import Estimator
@@ -81,7 +81,6 @@ class Stages:
     _way: tuple[float, float, int] | None
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None) -> None:
-        check_config(config)
         limits = config.chain_limits
         self.estimator = Estimator(limits)
         self._tracker = self.estimator.tracker
@@ -119,7 +118,7 @@ class Stages:
             self.use_second(self.second.sensor)
 
     def use_second(self, sensor: SecondSensor | None) -> None:
-        self._nothing_in_doubt = False
+        self._usual_status = 0
         self.second = None if sensor is None else SecondPosition(sensor, self.reference)
 
     def activate(self, correction: Correction) -> None:
@@ -133,7 +132,7 @@ class Stages:
         self._tracks_changed()
 
     def _tracks_changed(self) -> None:
-        self._nothing_in_doubt = False
+        self._usual_status = 0
         self.estimator.phases_keep = self.tracks.phases_keep
         self._expect_present_speed()
 
@@ -193,7 +192,7 @@ class Stages:
             self.second.restart()
 
     def _forget_sample(self) -> None:
-        self._nothing_in_doubt = False  # the next sample may be a usual one
+        self._usual_status = 0  # of the next sample if it is a usual one; 0: it cannot be
         self.last = self.place = None
         self._sine = self._cosine = nan  # counts of the last sample
         self._speed, self.was_valid = 0.0, 0  # of the last sample
@@ -235,7 +234,7 @@ class Stages:
         residual = NOT_USUAL
         tracker, estimator = self._tracker, self.estimator
         if (
-            self._nothing_in_doubt
+            self._usual_status
             and extras is None
             and phase == phase
             and not (repeated and not self._frozen.repeats)  # then the machine stands
@@ -253,7 +252,7 @@ class Stages:
         self.clock += elapsed
         self.samples = samples = self.samples + 1
         acceleration, self._speed = speed - self._speed, speed
-        status = self._status
+        status = self._usual_status
         self.last = self.place = last = _new(
             Feedback,
             (s, c, amplitude, raw, cycles, phase, residual, status, speed, acceleration, 0, samples),
@@ -339,7 +338,7 @@ class Stages:
     def _feedback(
         self, stages: tuple[float, float, float, float], track: Track, bits: int, jump: int
     ) -> Feedback:
-        self._nothing_in_doubt = False
+        self._usual_status = 0
         self.samples = samples = self.samples + 1
         cycles, phase, residual, _ = track
         speed, places = self._tracker.step_cycles, self.estimator.places
@@ -369,8 +368,7 @@ class Stages:
         )
         faulty = self._supervision.after_fault or (frozen.repeats and not frozen.stands)
         if feedback.status & VALID and not (in_doubt or faulty or estimator.searches):
-            self._nothing_in_doubt = True
-            self._status = feedback.status & (VALID | TABLE_ACTIVE | REFERENCED)
+            self._usual_status = feedback.status & (VALID | TABLE_ACTIVE | REFERENCED)
 
     def is_near(self, sine: float, cosine: float, cycles: float = speeds.STILL_CYCLES) -> bool:
         """The phase is within ``cycles`` of the last; by default: the machine has stood."""
@@ -435,5 +433,5 @@ class Stages:
             self.reference.slipped()
         self.clock += taken
         self.samples += taken
-        self._nothing_in_doubt = False
+        self._usual_status = 0
         return taken
