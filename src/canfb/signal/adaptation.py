@@ -19,7 +19,6 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import cos, sin
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -55,35 +54,30 @@ NO_DEVIATION = CircleDeviation(0j, 0j)
 class TrackSectors:
     """Takes samples until there are :data:`FEWEST` of them in each sector of the cycle."""
 
-    __slots__ = ("_counts", "_filled", "_places", "_radial", "_tangential", "taken")
+    __slots__ = ("_counts", "_places", "_turned", "taken")
 
     def __init__(self) -> None:
         self.begin()
 
     def begin(self) -> None:
-        self.taken = self._filled = 0
+        self.taken = 0
         self._counts = [0] * SECTORS
-        self._places, self._radial, self._tangential = ([0.0] * SECTORS for _ in range(3))
+        self._places, self._turned = [0.0] * SECTORS, [0j] * SECTORS
 
     def take(self, sine: float, cosine: float, phase: float) -> bool:
         """A sample: conditioned tracks in counts, corrected phase in cycles; True if no sector needs more."""
-        angle = TURN * phase
-        along, across = cos(angle), sin(angle)
         sector = int(phase * SECTORS)
         self._places[sector] += phase
-        self._radial[sector] += cosine * along + sine * across
-        self._tangential[sector] += sine * along - cosine * across
-        self._counts[sector] = count = self._counts[sector] + 1
-        if count == FEWEST:
-            self._filled += 1
+        self._turned[sector] += complex(cosine, sine) * cmath.exp(-1j * TURN * phase)
+        self._counts[sector] += 1
         self.taken += 1
-        return self._filled == SECTORS
+        return min(self._counts) >= FEWEST
 
     def found(self) -> tuple[CircleDeviation, float]:
         """The deviation, and the mean amplitude in counts."""
-        rows = list(zip(self._counts, self._places, self._radial, self._tangential, strict=True))
-        turning = [complex(radial, tangential) / n for n, _, radial, tangential in rows]
-        turns = [cmath.exp(1j * TURN * place / n) for n, place, _, _ in rows]
+        counts = self._counts
+        turning = [one / n for one, n in zip(self._turned, counts, strict=True)]
+        turns = [cmath.exp(1j * TURN * place / n) for place, n in zip(self._places, counts, strict=True)]
         fundamental = sum(turning) / SECTORS
         rest = [one - fundamental for one in turning]
         offset = sum(one * turn for one, turn in zip(rest, turns, strict=True)) / SECTORS
@@ -224,13 +218,13 @@ class Adaptation:
         "_recent_until",
         "_sectors",
         "_stride",
-        "_sum",
         "at_limit",
         "drift",
         "due",
         "on_limit",
         "used",
     )
+    due: int
 
     def __init__(self) -> None:
         self._limits: AdaptConfig | None = None
@@ -246,20 +240,15 @@ class Adaptation:
 
     def use_limits(self, limits: AdaptConfig | None, start_from: FollowedDrift | None) -> None:
         was_on, self._limits = self.is_on, limits
-        if limits is None:
-            self.drift, self.due = NO_DRIFT, NEVER
-            self._forget_result()
-        elif not was_on:
-            self._begin(0)
+        if not (was_on and self.is_on):
+            self._forget()
         if self.is_on and start_from is not None and all(map(math.isfinite, start_from)):
             self.drift = start_from
 
     def use(self, correction: Correction) -> None:
-        self.drift = NO_DRIFT
         self._known = deviation_of(correction)
-        self._sum, self._blocks = NO_DEVIATION, 0
-        self._forget_result()
-        self.due = 0 if self.is_on else NEVER
+        self._blocks: list[CircleDeviation] = []  # of the reference, while it is not known
+        self._forget()
 
     def is_recent(self, samples: int) -> bool:
         return samples <= self._recent_until
@@ -298,9 +287,10 @@ class Adaptation:
         self._sectors.begin()
         self.due = samples
 
-    def _forget_result(self) -> None:
+    def _forget(self) -> None:
+        self.drift = NO_DRIFT
         self._recent_until = -1
-        self._sectors.begin()
+        self._begin(0 if self.is_on else NEVER)
         self._judge(0.0)
 
     def _judge(self, used: float) -> None:
@@ -310,16 +300,15 @@ class Adaptation:
             self.on_limit()
 
     def _learn_reference(self, found: CircleDeviation) -> None:
-        offset, backward = self._sum
-        self._sum = CircleDeviation(offset + found.offset, backward + found.backward)
-        self._blocks += 1
-        if self._blocks >= REFERENCE_BLOCKS:
-            self._known = CircleDeviation(*(one / self._blocks for one in self._sum))
+        self._blocks.append(found)
+        if len(self._blocks) == REFERENCE_BLOCKS:
+            sums = map(sum, zip(*self._blocks, strict=True))
+            self._known = CircleDeviation(*(one / REFERENCE_BLOCKS for one in sums))
 
     def _follow(self, found: CircleDeviation, amplitude: float, seconds: float) -> bool:
         limits, known = self._limits, self._known
-        if limits is None or known is None:
-            return False
+        assert limits is not None
+        assert known is not None
         offset, backward = found.offset - known.offset, found.backward - known.backward
         left = (2.0 * offset.imag, 2.0 * offset.real, -4.0 * backward.real, 4.0 * backward.imag)
         most = min(limits.rate_per_hour * PER_HOUR * seconds, MOST_STEP)
