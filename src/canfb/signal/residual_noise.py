@@ -35,14 +35,7 @@ class ResidualNoise:
     fault that grows slowly moves a limit by a factor of two at most; NaN before four blocks.
     """
 
-    __slots__ = (
-        "_accelerations",
-        "_eighths",
-        "_recent",
-        "_reference",
-        "due",
-        "rms_cycles",
-    )
+    __slots__ = ("_block", "_recent", "_reference", "due", "rms_cycles")
 
     def __init__(self) -> None:
         self.forget()
@@ -53,7 +46,7 @@ class ResidualNoise:
         self._recent: deque[float] = deque(maxlen=REFERENCE_BLOCKS)
         self.due = 0
         """The number of the sample with which the next block begins: none before it need be shown."""
-        self._begin()
+        self._block: list[Feedback] = []
 
     @property
     def usable_cycles(self) -> float:
@@ -65,25 +58,19 @@ class ResidualNoise:
         if feedback.samples < self.due:
             return False
         if feedback.status & (BAD | VALID) != VALID:
-            if self._accelerations:
-                self._begin()
+            self._block = []
             return False
-        accelerations = self._accelerations
-        accelerations.append(feedback.acceleration_cycles)
-        self._eighths |= 1 << int(feedback.phase * 8.0)
-        return len(accelerations) >= BLOCK_SAMPLES + 2 and self._complete(feedback)
+        self._block.append(feedback)
+        return len(self._block) >= BLOCK_SAMPLES + 2 and self._complete()
 
-    def _begin(self) -> None:
-        self._accelerations: list[float] = []
-        self._eighths = 0
-
-    def _complete(self, last: Feedback) -> bool:
+    def _complete(self) -> bool:
+        block, self._block = self._block, []
+        last = block[-1]
         step = abs(last.speed_cycles - round(last.speed_cycles))
-        moving = self._eighths.bit_count() >= EIGHTHS and step >= LEAST_STEP
-        residuals = self._accelerations[1:]
-        self._begin()
-        if not moving:
+        eighths = {int(one.phase * 8.0) for one in block}
+        if len(eighths) < EIGHTHS or step < LEAST_STEP:
             return False
+        residuals = [one.acceleration_cycles for one in block[1:]]
         differences = [abs(new - old) for old, new in itertools.pairwise(residuals)]
         difference = statistics.median(differences) / MEDIAN_OF_RMS
         self.rms_cycles = rms = difference * math.sqrt(RESIDUAL_WEIGHTS / DIFFERENCE_WEIGHTS)
