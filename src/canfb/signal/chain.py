@@ -198,7 +198,7 @@ class SignalChain:
         ValueError for a speed that is not finite or above 2**31 in size.
         """
         self.stages.restart(cycles, speed_cycles)
-        self._pauses.forget()
+        self._pauses.turned = 0.0
         self._forget_times_of_samples()
 
     def reset(self) -> None:

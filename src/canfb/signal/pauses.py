@@ -20,16 +20,12 @@ class Pauses:
     """How ``stages`` go on after a time in which nobody counted, in intervals from sample to sample."""
 
     def __init__(self, stages: Stages) -> None:
-        self._stages = stages
-        self.forget()
-
-    def forget(self) -> None:
+        self._stages, self._estimator = stages, stages.estimator
         # The speed at a reset, cycles per interval; inf: the position was lost, and the machine may turn.
         self.turned = 0.0
 
     def moves(self, intervals: float, cycles: float) -> bool:
-        estimator = self._stages.estimator
-        tracker = estimator.tracker
+        estimator, tracker = self._estimator, self._estimator.tracker
         if estimator.lost or not tracker.started:
             return False
         speed = max(abs(tracker.step_cycles), abs(speeds.steady_speed(estimator.places)))
@@ -37,27 +33,26 @@ class Pauses:
 
     @property
     def creeps(self) -> bool:
-        return not speeds.stood_still(self._stages.estimator.places, least=0)
+        return not speeds.stood_still(self._estimator.places, least=0)
 
     def reset(self) -> None:
-        stages, estimator = self._stages, self._stages.estimator
+        estimator = self._estimator
         if estimator.lost:
             self.turned = 0.0 if estimator.still.samples >= STILL_SAMPLES else inf
         elif estimator.tracker.started:
             step = abs(estimator.tracker.step_cycles)
             self.turned = step if step > STILL_CYCLES else 0.0
-        stages.restart()
+        self._stages.restart()
 
     def resume(self, intervals: float) -> bool:
         """Go on after ``intervals``; True if the position goes on, and was not started again.
 
         The rules are in :meth:`canfb.signal.chain.SignalChain.resume`.
         """
-        stages, estimator = self._stages, self._stages.estimator
-        if estimator.lost or self.turned:
+        if self._estimator.lost or self.turned:
             self._start_again(intervals)
             return False
-        stages.resume(*self._way(intervals))
+        self._stages.resume(*self._way(intervals))
         return True
 
     def _start_again(self, intervals: float) -> None:
@@ -65,7 +60,7 @@ class Pauses:
 
         After a reset the first sample is cycle 0 at any speed that uneven times find.
         """
-        stages, estimator = self._stages, self._stages.estimator
+        stages, estimator = self._stages, self._estimator
         if estimator.lost and not estimator.still.stays:
             # Samples of whole cycles per interval equal those of a machine at rest, however many.
             stages.resume(inf, starts=False)
@@ -74,7 +69,7 @@ class Pauses:
         acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
         fastest = self.turned + acceleration * intervals  # NaN: of no acceleration for no known time
         waits = self.turned > 0.0 and not fastest < FASTEST_STANDSTILL_CYCLES
-        self.forget()
+        self.turned = 0.0
         stages.restart()
         if waits:
             stages.lose_after_pause(starts=True)
@@ -85,8 +80,7 @@ class Pauses:
         inf: in doubt, it leaves its cycle, or is half a cycle away or faster then: eq. 9 starts from
         standstill. It may accelerate as it did, and as declared.
         """
-        estimator = self._stages.estimator
-        places = estimator.places
+        estimator, places = self._estimator, self._estimator.places
         speed, step = speeds.steady_speed(places), abs(estimator.tracker.step_cycles)
         if step >= FASTEST_STANDSTILL_CYCLES or (estimator.in_doubt and not self._stages.was_valid):
             return inf, 0.0
