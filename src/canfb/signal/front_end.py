@@ -212,8 +212,6 @@ class FrontEnd:
 
     def lag_intervals(self, speed_cycles: float) -> float:
         """2002:07 at this speed: a low-pass delays by arctan(u) / u of it, u = f / fc."""
-        if not self._hertz:
-            return 0.0
         lag = self._conditioning.delay_s * self._hertz
         ratio = self._corner * speed_cycles
         if ratio:

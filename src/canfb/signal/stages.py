@@ -134,12 +134,12 @@ class Stages:
     def _tracks_changed(self) -> None:
         self._usual_status = 0
         self.estimator.phases_keep = self.tracks.phases_keep
-        self._expect_present_speed()
+        self._expect(self._tracker.step_cycles if self._tracker.started else self._speed)
 
     def use_unit(self, unit_s: float) -> None:
         """The sampling interval, seconds; 0.0: not known. Speeds stay as they are."""
         self.tracks.use_unit(unit_s)
-        self._expect_present_speed()
+        self._tracks_changed()
 
     def rescale(self, factor: float) -> None:
         """Intervals are counted in a unit that is shorter by ``factor``."""
@@ -165,9 +165,7 @@ class Stages:
         self.reference.restart()
         if self.second is not None:
             self.second.restart()
-        self._forget_sample()
-        self._speed = float(speed_cycles)
-        self._expect(self._speed)
+        self._forget_sample(speed_cycles)
 
     def resume(self, way_cycles: float, spread_cycles: float = 0.0, starts: bool = True) -> None:
         """Go on after a pause in which the machine stopped or went ``way_cycles``; lost at inf."""
@@ -191,14 +189,14 @@ class Stages:
         if self.second is not None:
             self.second.restart()
 
-    def _forget_sample(self) -> None:
+    def _forget_sample(self, speed_cycles: float = 0.0) -> None:
         self._usual_status = 0  # of the next sample if it is a usual one; 0: it cannot be
         self.last = self.place = None
         self._sine = self._cosine = nan  # counts of the last sample
-        self._speed, self.was_valid = 0.0, 0  # of the last sample
+        self._speed, self.was_valid = float(speed_cycles), 0  # of the last sample
         # The phase after a pause, how far it may be from that, and in how many samples.
         self._way = None
-        self._expect(0.0)
+        self._expect(self._speed)
 
     # Samples.
 
@@ -387,9 +385,6 @@ class Stages:
             known = not self.estimator.lost and (self._tracker.started or speed_cycles != 0.0)
             self._supervision.amplitude_known(known or not tracks.corners.are_there)
             tracks.expect(speed_cycles, known)
-
-    def _expect_present_speed(self) -> None:
-        self._expect(self._tracker.step_cycles if self._tracker.started else self._speed)
 
     # Runs on arrays (:mod:`canfb.signal.stream`).
 
