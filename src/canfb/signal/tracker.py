@@ -292,33 +292,20 @@ def track(phase: ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles
     result.phase[:] = phases
     tracker = Tracker(residual_limit, speed_cycles)
     for part, scratch in blocks(len(phases)):
-        track_block(tracker, result, part, scratch)
+        at = part.start
+        np.isnan(phases[part], out=scratch.bit)
+        for gap in [*(np.flatnonzero(scratch.bit) + at).tolist(), part.stop]:
+            while at < min(gap + 1, part.stop):
+                if at < gap and tracker.is_steady:
+                    run = result.part(slice(at, gap))
+                    count_run(tracker, run, scratch)
+                    tracker.go_on(run, gap - at)
+                    at = gap
+                else:
+                    one = tracker.update(float(phases[at]))
+                    result.cycles[at], result.phase[at], result.residual[at], result.ok[at] = one
+                    at += 1
     return result
-
-
-def track_block(tracker: Tracker, result: TrackResult, part: slice, scratch: Scratch) -> None:
-    """Continue ``tracker`` over ``result.phase[part]`` (unchecked), as :meth:`Tracker.update` would.
-
-    Fills ``result[part]``. Blocks follow each other from the first sample on.
-    """
-    start = part.start
-    np.isnan(result.phase[part], out=scratch.bit)
-    for gap in [*(np.flatnonzero(scratch.bit) + start).tolist(), part.stop]:
-        while start < gap and not tracker.is_steady:
-            _take_one(tracker, result, start)
-            start += 1
-        if start < gap:
-            run = result.part(slice(start, gap))
-            count_run(tracker, run, scratch)
-            tracker.go_on(run, gap - start)
-        if gap < part.stop:
-            _take_one(tracker, result, gap)
-        start = gap + 1
-
-
-def _take_one(tracker: Tracker, result: TrackResult, at: int) -> None:
-    one = tracker.update(float(result.phase[at]))
-    result.cycles[at], result.phase[at], result.residual[at], result.ok[at] = one
 
 
 def count_run(tracker: Tracker, run: TrackResult, scratch: Scratch) -> None:
