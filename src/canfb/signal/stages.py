@@ -70,7 +70,7 @@ class Stages:
     reference   coarse track and zero pulse; another one for another encoder
     second      another sensor, None without one
     samples     the number of the last sample, 0 before the first one
-    last        its feedback, None after a start and after a run on arrays
+    last        its feedback, None after a start
     place       its place, if it was taken; ``was_valid``: not 0 if it was valid
     clock       sampling intervals since the start
     base_status  bits of every sample
@@ -405,11 +405,11 @@ class Stages:
 
         Only where :attr:`may_run`. ``run.phase`` are the corrected phases; the rest of ``run`` is filled. The
         result is the number of samples taken: those before the first with a residual over the limit (unless
-        the position is lost) or a frozen input.
+        the position is lost) or a frozen input. What only witnesses, pauses and the analog path read stays as
+        it was before: a stream that runs has none of them.
         """
-        estimator, tracker = self.estimator, self._tracker
-        count_run(tracker, run, scratch)
-        followed = estimator.lost or run.ok.all()
+        count_run(self._tracker, run, scratch)
+        followed = self.estimator.lost or run.ok.all()
         taken = len(sine) if followed else int(run.ok.argmin())
         if taken and self._frozen.frozen_samples:
             before = self._sine, self._cosine
@@ -417,16 +417,6 @@ class Stages:
             taken = taken if equal is None else self._frozen.before_row(equal)
         if not taken:
             return 0
-        last = taken - 1
-        self.place = Track(int(run.cycles[last]), float(run.phase[last]), float(run.residual[last]), True)
-        estimator.go_on(run, taken)
-        self._sine, self._cosine = float(sine[last]), float(cosine[last])
-        self.last = None
-        self._speed = tracker.step_cycles
-        self.was_valid = 0 if estimator.lost else VALID
-        if estimator.lost and not run.ok[:taken].all():
-            self.reference.slipped()
-        self.clock += taken
-        self.samples += taken
-        self._usual_status = 0
+        self.estimator.go_on(run, taken)
+        self._sine, self._cosine = float(sine[taken - 1]), float(cosine[taken - 1])
         return taken
