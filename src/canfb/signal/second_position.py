@@ -78,5 +78,5 @@ class SecondScale:
 
 
 def step_increments(before: int, value: int) -> int:
-    """From one value to another over the wrap, at most half the range."""
+    """From one value, unwrapped or not, to another over the wrap, at most half the range."""
     return (value - before + RANGE // 2) % RANGE - RANGE // 2

@@ -34,10 +34,8 @@ class SecondValues:
 
     def restart(self, keep: bool = False) -> None:
         if not keep:
-            self._last: int | None = None
-            self._increments = 0
+            self._increments: int | None = None  # unwrapped
         self.missing = self.late = self.most_late = 0
-        self.is_ambiguous = False
         self._begun = False
         self._on_time = 0  # values in a row that fitted their own sample
         self._step = 0  # the last one
@@ -59,12 +57,12 @@ class SecondValues:
             self._on_time = 0
             self.missing += 1
             return None
-        step = 0 if self._last is None else step_increments(self._last, increments)
+        before = increments if self._increments is None else self._increments
+        step = step_increments(before, increments)
         intervals, self.missing = self.missing + 1, 0
         begun, self._begun = self._begun, True
         self.is_ambiguous = max(abs(step), abs(self._step) * intervals) > RANGE // 4
-        self._last = increments
-        self._increments += step
+        self._increments = before + step
         if step:
             self._step = step // intervals if begun else 0
             self._is_frozen, self._since = False, None
