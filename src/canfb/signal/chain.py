@@ -344,7 +344,7 @@ class SignalChain:
             return self._take_all(sample, elapsed, bad, not placed, next_one)
         in_turn = elapsed == 1.0 or (timed and elapsed <= HOLE_INTERVALS)
         usual = in_turn and not bad and coarse is pulse is None
-        extras = None if usual else Extras(sample, bad, not placed, next_one)
+        extras = None if usual else Extras(sample, not placed, next_one)
         # Numbers of numpy would make all that follows as coarse as they are, or overflow.
         return self.stages.take(float(sine), float(cosine), elapsed, timed, extras)
 
@@ -371,7 +371,7 @@ class SignalChain:
             between.append(feedback)
         newest = samples[-1]
         whole = elapsed * self._per_sync if bad else newest.elapsed
-        extras = Extras(newest, bad, unplaced, next_one, pulse)
+        extras = Extras(newest, unplaced, next_one, pulse)
         feedback = stages.take(float(newest.sine), float(newest.cosine), whole, timed, extras)
         if any(one.status & MISSED for one in between):
             feedback = stages.last = feedback._replace(status=feedback.status | MISSED)

@@ -47,14 +47,13 @@ class Extras(NamedTuple):
     """What a sample has beside two counts in turn.
 
     sample    the sample, with coarse track and zero pulse
-    bad       it is not to be used; ``unplaced``: since it is not known when it was taken
+    unplaced  it is not to be used: it is not known when it was taken
     next_one  by the count of SYNCs none was missed before it
     pulse     a zero pulse that came before an earlier sample of the same interval of SYNC
     newest    it is the newest of its interval of SYNC
     """
 
     sample: Sample
-    bad: bool = False
     unplaced: bool = False
     next_one: bool = False
     pulse: Pulse | None = None
@@ -271,7 +270,7 @@ class Stages:
         extras: Extras | None,
     ) -> Feedback:
         s, c, amplitude, raw, phase = stages
-        sample, bad, unplaced, next_one, pulse, newest = extras or Extras(Sample(sine, cosine))
+        sample, unplaced, next_one, pulse, newest = extras or Extras(Sample(sine, cosine))
         faults = self._supervision.faults(sine, cosine, amplitude)
         estimator, reference, frozen = self.estimator, self.reference, self._frozen
         repeated = self.repeats(sine, cosine)
@@ -281,7 +280,7 @@ class Stages:
             faults |= FROZEN
         self._sine, self._cosine = sine, cosine
         estimator.timed = timed
-        measured = not (faults or bad) and phase == phase
+        measured = not (faults or sample.invalid or unplaced) and phase == phase
         if measured and self._way is not None:
             due, most, samples = self._way
             away = abs(speeds.apart(phase, due)) > most  # It has neither stopped nor gone on.
