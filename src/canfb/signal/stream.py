@@ -172,16 +172,12 @@ class Stream:
         bad = self._compute(sine, cosine, result) if on_arrays else []
         k = 0
         for fault in [*bad, samples]:
-            while k < fault:
-                long = on_arrays and fault - k >= SHORTEST_RUN
-                if long and self._stages.may_run:
+            while k < min(fault + 1, samples):
+                if on_arrays and fault - k >= SHORTEST_RUN and self._stages.may_run:
                     k = self._run(k, fault, sine, cosine, result)
                 else:
                     self._step(k, sine, cosine, result)
                     k += 1
-            if k < samples:
-                self._step(k, sine, cosine, result)
-                k += 1
 
     def _compute(self, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> list[int]:
         scratch = self._scratch.head(len(sine))
