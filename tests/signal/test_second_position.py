@@ -11,9 +11,9 @@ from hypothesis import given, strategies as st
 from witness_kit import Machine, at, has
 
 from canfb import ChainConfig, Feedback, Sample, SignalChain, StatusBit
-from canfb.signal.second_position import SecondScale, SecondSensor, step_increments
+from canfb.signal.second_position import SecondSensor, step_increments
 from canfb.signal.witness.second import LONGEST_GAP
-from canfb.signal.witness.witness import Pair, counts_within
+from canfb.signal.witness.witness import Pair, SecondScale, counts_within
 from folding import each
 
 U32 = st.integers(1, 2**32 - 1)

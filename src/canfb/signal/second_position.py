@@ -1,25 +1,14 @@
-"""The position of another sensor on the same machine, such as the motor encoder of a drive, in cycles.
-
-Its increments are 32 bits and wrap. One is N d / n cycles, so distances are counted in 1/n cycle, and only
-the last result is rounded.
-"""
+"""Another sensor on the same machine, such as the motor encoder of a drive. Its 32-bit increments wrap."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from fractions import Fraction
-from typing import TYPE_CHECKING
 
 from canfb.checks import within
-
-if TYPE_CHECKING:
-    from canfb.signal.witness.witness import Pair
 
 RANGE = 1 << 32  # increments after which a value wraps
 U32 = 0xFFFFFFFF
 MOST_TOLERANCE_REVOLUTIONS = 0.25
-STEADY_CYCLES = 0.1  # values that agree on a count differ by no more
 UNIT_INCREMENTS = 1 << 20  # default per revolution
 
 
@@ -50,31 +39,6 @@ class SecondSensor:
             reversed=bool,
             invalidates=bool,
         )
-
-
-class SecondScale:
-    """Distances of the two sensors in cycles."""
-
-    slope = 1.0  # the other sensor drives the machine
-    period_cycles = math.inf
-
-    def __init__(self, sensor: SecondSensor, cycles_per_revolution: int) -> None:
-        cycles = Fraction(cycles_per_revolution * sensor.revolutions, sensor.increments)
-        self._cycles = -cycles.numerator if sensor.reversed else cycles.numerator
-        self._per = cycles.denominator
-        self.step_cycles = self.noise_cycles = float(cycles)
-        """One increment in cycles: how far the truth may be from a value."""
-        self.steady_cycles = STEADY_CYCLES + 2.0 * self.step_cycles
-        self.tolerance_cycles = sensor.tolerance_revolutions * cycles_per_revolution
-
-    def difference_cycles(self, since: Pair, now: Pair) -> float:
-        """How much further the other sensor has moved than the encoder."""
-        return self.moved_cycles(since, now, now.cycles - since.cycles) - (now.phase - since.phase)
-
-    def moved_cycles(self, since: Pair, now: Pair, less_cycles: int = 0) -> float:
-        """How far the other sensor has moved, cycles, less ``less_cycles``: the nearest float."""
-        moved = (int(now.value) - int(since.value)) * self._cycles
-        return (moved - less_cycles * self._per) / self._per
 
 
 def step_increments(before: int, value: int) -> int:

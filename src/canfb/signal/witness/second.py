@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from collections import deque
 
-from canfb.signal.second_position import RANGE, SecondScale, SecondSensor, step_increments
+from canfb.signal.second_position import RANGE, SecondSensor, step_increments
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, SECOND_POSITION, VALID
 from canfb.signal.tracker import Track
 from canfb.signal.witness.reference import Reference, lost_bits
-from canfb.signal.witness.witness import PHASE_CYCLES, Pair, Witness, counts_within
+from canfb.signal.witness.witness import PHASE_CYCLES, Pair, SecondScale, Witness, counts_within
 
 MOST_LATE = 3  # intervals by which a value may be late and is still known as that
 ON_TIME_VALUES = 100  # in a row that fit their own sample: they are not late

@@ -20,9 +20,12 @@ The coarse track, one cycle per revolution (paper, section 4), is one with a val
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
+
+from canfb.signal.second_position import SecondSensor
 
 MOST_VALUES = 512  # remembered; when there are more, every second one is forgotten, which only costs time
 LEAST_VALUES = 3
@@ -100,8 +103,11 @@ class Pair(NamedTuple):
     time: float
 
 
-class WitnessScale(Protocol):
-    """Distances of the sensor in cycles.
+class Witness:
+    """``origin`` is a pair at which both stood for the same place, None: not known; ``firm``: for good.
+
+    Its ``scale`` has distances of the sensor in cycles: how far it has moved, and how much further than the
+    count, and
 
     tolerance_cycles  how far it may be from the position
     step_cycles       of its value: so far it may be further off
@@ -111,28 +117,11 @@ class WitnessScale(Protocol):
     period_cycles     period of its value
     """
 
-    tolerance_cycles: float
-    step_cycles: float
-    slope: float
-    noise_cycles: float
-    steady_cycles: float
-    period_cycles: float
-
-    def moved_cycles(self, since: Pair, now: Pair) -> float:
-        """How far the sensor has moved."""
-
-    def difference_cycles(self, since: Pair, now: Pair) -> float:
-        """How much further it has moved than the count."""
-
-
-class Witness:
-    """``origin`` is a pair at which both stood for the same place, None: not known; ``firm``: for good."""
-
-    def __init__(self, scale: WitnessScale) -> None:
+    def __init__(self, scale: CoarseScale | SecondScale) -> None:
         self.use(scale)
         self.restart(keep=False)
 
-    def use(self, scale: WitnessScale) -> None:
+    def use(self, scale: CoarseScale | SecondScale) -> None:
         self.scale = scale
         self._search = SpeedSearch(scale.slope, 2.0 * scale.tolerance_cycles, scale.noise_cycles)
         self.restart_search()
@@ -226,6 +215,37 @@ class CoarseScale:
 
     def difference_cycles(self, since: Pair, now: Pair) -> float:
         return self.moved_cycles(since, now) - (now.cycles - since.cycles) - (now.phase - since.phase)
+
+
+STEADY_CYCLES = 0.1  # values that agree on a count differ by no more
+
+
+class SecondScale:
+    """Distances of the two sensors in cycles.
+
+    An increment is N d / n cycles: distances are counted in 1/n cycle, and only the last result is rounded.
+    """
+
+    slope = 1.0  # the other sensor drives the machine
+    period_cycles = math.inf
+
+    def __init__(self, sensor: SecondSensor, cycles_per_revolution: int) -> None:
+        cycles = Fraction(cycles_per_revolution * sensor.revolutions, sensor.increments)
+        self._cycles = -cycles.numerator if sensor.reversed else cycles.numerator
+        self._per = cycles.denominator
+        self.step_cycles = self.noise_cycles = float(cycles)
+        """One increment in cycles: how far the truth may be from a value."""
+        self.steady_cycles = STEADY_CYCLES + 2.0 * self.step_cycles
+        self.tolerance_cycles = sensor.tolerance_revolutions * cycles_per_revolution
+
+    def difference_cycles(self, since: Pair, now: Pair) -> float:
+        """How much further the other sensor has moved than the encoder."""
+        return self.moved_cycles(since, now, now.cycles - since.cycles) - (now.phase - since.phase)
+
+    def moved_cycles(self, since: Pair, now: Pair, less_cycles: int = 0) -> float:
+        """How far the other sensor has moved, cycles, less ``less_cycles``: the nearest float."""
+        moved = (int(now.value) - int(since.value)) * self._cycles
+        return (moved - less_cycles * self._per) / self._per
 
 
 class CoarseTrack(Witness):
