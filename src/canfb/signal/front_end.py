@@ -168,11 +168,9 @@ class FrontEnd:
         "_cosine_corner",
         "_delay",
         "_differ",
-        "_gains",
         "_hertz",
-        "_offsets",
-        "_phase_error",
         "_rows",
+        "_used",
         "unit_s",
         "varies",
     )
@@ -187,8 +185,7 @@ class FrontEnd:
         self.use_interval(0.0)
 
     def use_conditioning(self, conditioning: Conditioning) -> None:
-        used = tuple(map(float, conditioning.values[:5]))
-        self._offsets, self._gains, self._phase_error = used[:2], used[2:4], used[4]
+        self._used = tuple(map(float, conditioning.values[:5]))
 
     def use_interval(self, unit_s: float) -> None:
         self.unit_s = unit_s
@@ -224,8 +221,8 @@ class FrontEnd:
 
         With ``amplitude_known`` False the attenuation is left in.
         """
-        angle = self._phase_error - self.turned_rad(speed_cycles)
-        (offset_s, offset_c), (gain_s, gain_c) = self._offsets, self._gains
+        offset_s, offset_c, gain_s, gain_c, phase_error = self._used
+        angle = phase_error - self.turned_rad(speed_cycles)
         if self._cosine_corner and amplitude_known:
             gain_s *= _rise(self._corner * speed_cycles)
             gain_c *= _rise(self._cosine_corner * speed_cycles)
