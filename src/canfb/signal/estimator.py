@@ -101,8 +101,6 @@ class Estimator:
     def _forget(self) -> None:
         self._doubt: Doubt | None = None
         self._past: Doubt | None = None  # the last one, while a contradiction can go back into it
-        self._past_places = 0
-        self._at_start = False  # the doubt began while the start was assumed
         self._coasted = 0.0  # intervals since the last good sample
         self.places.clear()
 
@@ -372,7 +370,7 @@ class Estimator:
 
     def _doubted(self, refused: bool = False) -> Doubt:
         if self._doubt is None:
-            self._at_start = self._start_is_assumed
+            self._at_start = self._start_is_assumed  # the doubt began while the start was assumed
             log = self._log()
             spots = self._spots()
             start = Candidate(0.0, spots, max(ORDER, len(spots)))

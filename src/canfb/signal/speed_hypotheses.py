@@ -213,8 +213,6 @@ class SpeedHypotheses:
         self._alone = 0  # samples
         self.samples = 0
         """Since the start."""
-        self.left = 0
-        """Motions that are left; 0 after false samples in more than one row."""
         self.telling = False
         """The times are uneven enough to tell speeds apart."""
         self.silent = False
@@ -246,6 +244,7 @@ class SpeedHypotheses:
             past[0].unite(row)
             self._rows.remove(row)
         self.left = self._motions_left()
+        """0 after false samples in more than one row."""
         self._alone = self._alone + 1 if self.left == 1 else 0
         return bool(self.left)
 
