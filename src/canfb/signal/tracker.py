@@ -77,7 +77,7 @@ class Tracker:
         self._phase = 0.0  # p(k-1)
         self._phase_before = 0.0  # p(k-2)
         self.elapsed = 1.0  # intervals between samples k-2 and k-1
-        self._gap = 0.0  # intervals since sample k-1 that brought no phase
+        self._gap = 0.0  # intervals since sample k-1 that brought no phase; read once there was one
         self.started = False
         """True once there was a phase."""
         self.step_cycles = 0.0
@@ -201,8 +201,7 @@ class Tracker:
 
     def skip(self, elapsed: float = 1.0) -> None:
         """Step over a sample without a usable phase; the next prediction spans the gap."""
-        if self.started:
-            self._gap += elapsed
+        self._gap += elapsed
 
     def predict(self, elapsed: float = 1.0) -> Track:
         """Position after ``elapsed`` intervals at the last speed; residual 0.5, never ok."""
