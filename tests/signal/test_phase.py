@@ -13,6 +13,7 @@ from hypothesis import example, given, strategies as st
 from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
+from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.stream import process, process_stream
@@ -77,6 +78,7 @@ ANGLE = np.linspace(0.0, 40 * np.pi, 1000)
 SINE, COSINE = 1500 * np.sin(ANGLE), 1500 * np.cos(ANGLE)
 TAKERS = {
     "process": process,
+    "process, with the identity": lambda s, c: process(s, c, conditioning=Conditioning()),
     "process_stream": lambda s, c: list(process_stream([(s, c)])),
     "calibrate_from_motion": calibrate_from_motion,
     "calibrate_from_zero_crossings": calibrate_from_zero_crossings,

@@ -323,14 +323,11 @@ def process(
     if conditioning is not None and not isinstance(conditioning, Conditioning):
         raise TypeError(f"conditioning must be a Conditioning or None, not {type(conditioning).__name__}")
     used = correction_of(table, conditioning)
-    may_be_offset = conditioning is not None or not used.conditioning.is_identity
-    sines, cosines = pair_of_tracks(sine, cosine, may_be_offset=may_be_offset)
-    check_counts(sines, cosines, may_be_offset=may_be_offset)
     unknown = declared.keys() - DECLARED
     if unknown:
         raise TypeError(f"process() has no option {min(unknown)!r}; it takes {', '.join(DECLARED)}")
     config = ChainConfig(residual_limit=residual_limit, conditioning=used.conditioning, **declared)
     stream = Stream(config, used.table, 0.0 if speed_cycles is None else speed_cycles, supervised=False)
-    results = iter([stream.take(sines, cosines)])
+    results = iter([stream.take(*stream.tracks((sine, cosine)))])
     (result,) = from_standstill(results, config) if speed_cycles is None else results
     return TrackResult(result.cycles, result.phase, result.residual, result.valid)
