@@ -243,8 +243,7 @@ class SpeedHypotheses:
         for row in past[1:]:
             past[0].unite(row)
             self._rows.remove(row)
-        self.left = self._motions_left()
-        """0 after false samples in more than one row."""
+        self.left = self._motions_left()  # 0 after false samples in more than one row
         self._alone = self._alone + 1 if self.left == 1 else 0
         return bool(self.left)
 
