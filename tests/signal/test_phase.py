@@ -81,6 +81,9 @@ TAKERS = {
     "process, with the identity": lambda s, c: process(s, c, conditioning=Conditioning()),
     "process_stream": lambda s, c: list(process_stream([(s, c)])),
     "calibrate_from_motion": calibrate_from_motion,
+    "calibrate_from_motion, with the identity": lambda s, c: calibrate_from_motion(
+        s, c, conditioning=Conditioning()
+    ),
     "calibrate_from_zero_crossings": calibrate_from_zero_crossings,
 }
 WRONG = {

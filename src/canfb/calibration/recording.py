@@ -218,11 +218,12 @@ def prepared(
         raise ValueError(f"entries must be 16..4096, not {entries!r}")
     if not (conditioning is None or conditioning == "fit" or isinstance(conditioning, Conditioning)):
         raise ValueError('conditioning must be None, "fit" or a Conditioning')
-    record = recording(sine, cosine, time_s, valid, adc_bits, may_be_offset=conditioning is not None)
+    may_be_offset = conditioning not in (None, IDENTITY)
+    record = recording(sine, cosine, time_s, valid, adc_bits, may_be_offset=may_be_offset)
     ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
     amplitude = np.hypot(*ellipse.apply(record.sine, record.cosine))
     alive = record.clipped | (record.valid & (amplitude > DEAD * np.median(amplitude[record.valid])))
-    record = recording(sine, cosine, time_s, alive, adc_bits, may_be_offset=conditioning is not None)
+    record = recording(sine, cosine, time_s, alive, adc_bits, may_be_offset=may_be_offset)
     angle = angle_cycles(ellipse, record.sine, record.cosine)
     check_clipped(record, angle)
     return (
