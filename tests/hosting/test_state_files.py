@@ -6,7 +6,7 @@ import contextlib
 import errno
 import itertools
 import os
-import subprocess
+import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -20,6 +20,7 @@ from canfb.device.storage.storage import BackgroundStore, Changes, MemoryStore
 from canfb.errors import CanfbError
 from canfb.hosting import state_files
 from canfb.hosting.state_files import PENDING, SavedParameters, StateDirError, StateFiles, ThreadedStore
+from processes import Started
 
 COMMUNICATION, APPLICATION, MANUFACTURER = Group.COMMUNICATION, Group.APPLICATION, Group.MANUFACTURER
 OLD = {COMMUNICATION: b"old communication" * 5, APPLICATION: b"old a", MANUFACTURER: b"old table" * 20}
@@ -41,27 +42,20 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "lib" / "canfb"
 
 
-# One folder, one process.
-
-
-def test_a_second_store_is_refused_until_the_first_is_closed_or_its_process_has_ended(folder: Path) -> None:
+def test_a_second_store_is_refused_until_the_first_is_closed_or_its_process_has_ended(
+    folder: Path, started: Started
+) -> None:
     program = (
-        "import os, sys\nfrom canfb.hosting.state_files import StateFiles\n"
-        f"store = StateFiles({str(folder)!r})\nprint('has it', flush=True)\nsys.stdin.read()\n"
+        "import signal\nfrom canfb.hosting.state_files import StateFiles\n"
+        f"store = StateFiles({str(folder)!r})\nprint('has it')\nsignal.pause()\n"
     )
-    with subprocess.Popen(
-        [sys.executable, "-W", "error", "-c", program],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "has it\n"
-        refused = pytest.raises(StateDirError, match=r"state_dir .*canfb cannot be used: another process, or")
-        with refused:
-            StateFiles(folder)
-        process.kill()
-        process.wait()
+    process = started(sys.executable, "-W", "error", "-c", program)
+    process.wait_for("^has it$")
+    refused = pytest.raises(StateDirError, match=r"state_dir .*canfb cannot be used: another process, or")
+    with refused:
+        StateFiles(folder)
+    process.send(signal.SIGKILL)
+    process.wait()
     with StateFiles(folder) as store, refused:
         StateFiles(folder)
     store.close()
@@ -94,9 +88,6 @@ def test_who_only_reads_takes_no_lock_and_makes_nothing(
     readings = iter([OLD | ONE, NEW, NEW])  # half of the old set and half of the new one are not what is kept
     monkeypatch.setattr(StateFiles, "load", lambda store: next(readings))
     assert reader.load() == NEW
-
-
-# Files that cannot be read.
 
 
 def test_a_file_that_is_far_too_large_is_not_read_whole(folder: Path) -> None:
