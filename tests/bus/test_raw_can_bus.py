@@ -256,11 +256,6 @@ class Clocks:
         return ReceiveTimes(lambda: self.now, self.wall)
 
 
-@pytest.fixture
-def clocks() -> Clocks:
-    return Clocks()
-
-
 PAUSES_S = st.floats(0.0, 2.0) | st.sampled_from([0.0, 8e-6, 1.6e-5, 2e-5, 6e-5, 3e-4, 0.001])
 
 
@@ -294,8 +289,9 @@ def test_a_time_of_day_that_is_slewed_is_followed(drifts_s: list[float]) -> None
 
 
 @pytest.mark.parametrize("step_s", STEPS)
-def test_frames_that_wait_over_a_step_have_no_time(clocks: Clocks, step_s: float) -> None:
+def test_frames_that_wait_over_a_step_have_no_time(step_s: float) -> None:
     """Before and after the step alike: nobody knows which clock stamped them."""
+    clocks = Clocks()
     times = clocks.times()
     before = clocks.stamp(0.003)
     clocks.ahead_s += step_s
@@ -327,7 +323,8 @@ def test_no_frame_gets_a_time_of_the_wrong_clock(first_s: float, second_s: float
 @pytest.mark.parametrize(
     "stamp_s", [0.0, 77.0, 1.7e9, 1.9e9, -1.0, float("nan"), float("inf"), float("-inf")]
 )
-def test_stamps_of_another_clock_that_stands_still_are_not_used(clocks: Clocks, stamp_s: float) -> None:
+def test_stamps_of_another_clock_that_stands_still_are_not_used(stamp_s: float) -> None:
+    clocks = Clocks()
     times = clocks.times()
     for _ in range(5 * LEARNED_FRAMES):
         assert times.received(stamp_s, clocks.now) is None
@@ -339,7 +336,8 @@ def test_stamps_of_another_clock_that_stands_still_are_not_used(clocks: Clocks, 
     ("ago_s", "used"),
     [(LONGEST_DELAY_S - 0.01, True), (LONGEST_DELAY_S + 0.01, False), (-4e-4, True), (-6e-4, False)],
 )
-def test_how_far_a_stamp_may_be_off(clocks: Clocks, ago_s: float, used: bool) -> None:
+def test_how_far_a_stamp_may_be_off(ago_s: float, used: bool) -> None:
+    clocks = Clocks()
     got = clocks.times().received(clocks.stamp(ago_s), clocks.now)
     assert (got is not None) is used
     assert got is None or got <= clocks.now, "nothing comes later than now"

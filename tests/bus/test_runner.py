@@ -95,26 +95,21 @@ def test_boot_ups_and_answers_to_answers_come_in_order_and_nobody_hears_himself(
     assert other.heard_ids() == [0x701, 0x101, 0x102, 0x100]
 
 
-@pytest.fixture
-def flood() -> Callable[[Callable[[float], float]], FakeDevice]:
+def flood(stamp: Callable[[float], float]) -> FakeDevice:
     """A second of a bus where a frame always waits, and each takes 0.1 ms."""
+    bench = Bench(*((0.0, message(0x300, timestamp=stamp(n * 1e-4))) for n in range(11_000)))
 
-    def run(stamp: Callable[[float], float]) -> FakeDevice:
-        bench = Bench(*((0.0, message(0x300, timestamp=stamp(n * 1e-4))) for n in range(11_000)))
+    def busy(frame: Frame) -> list[Frame]:
+        bench.clock.now += 1e-4
+        return []
 
-        def busy(frame: Frame) -> list[Frame]:
-            bench.clock.now += 1e-4
-            return []
-
-        device = bench.device(period_s=0.01, answer=busy)
-        bench.run([device], 0.9999)
-        assert len(device.heard) in {9998, 9999}
-        return device
-
-    return run
+    device = bench.device(period_s=0.01, answer=busy)
+    bench.run([device], 0.9999)
+    assert len(device.heard) in {9998, 9999}
+    return device
 
 
-def test_a_flood_starves_no_timer(flood: Callable[[Callable[[float], float]], FakeDevice]) -> None:
+def test_a_flood_starves_no_timer() -> None:
     """Frames without receive times may all have come before a deadline, but not for ever."""
     device = flood(lambda at: 0.0)
     assert len(device.ticked) == 99
@@ -123,9 +118,7 @@ def test_a_flood_starves_no_timer(flood: Callable[[Callable[[float], float]], Fa
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.002, 0.05])
-def test_a_timer_waits_for_frames_that_came_before_it(
-    lag_s: float, flood: Callable[[Callable[[float], float]], FakeDevice]
-) -> None:
+def test_a_timer_waits_for_frames_that_came_before_it(lag_s: float) -> None:
     device = flood(lambda at: WALL_S + 1000.0 + at - lag_s)
     assert len(device.ticked) == 99 - round(lag_s / 0.01)
     assert all(lag_s - 0.0003 <= late_s <= lag_s + 0.0003 for late_s in device.ticked)

@@ -15,12 +15,10 @@ from canfb.signal.correction import Correction
 from commissioning_kit import random_encoder, recorded
 from ideal_tracks import wavy_table
 
-SETTINGS = Settings(entries=64, adc_bits=12)
-
 
 @pytest.fixture(scope="session")
 def settings() -> Settings:
-    return SETTINGS
+    return Settings(entries=64, adc_bits=12)
 
 
 @pytest.fixture(scope="session")
@@ -41,8 +39,8 @@ def old() -> Correction:
 
 
 @pytest.fixture(scope="session")
-def measured(samples: TrackSamples, old: Correction) -> Measurement:
-    return measure(samples, SETTINGS, old, lambda part: None)
+def measured(samples: TrackSamples, old: Correction, settings: Settings) -> Measurement:
+    return measure(samples, settings, old, lambda part: None)
 
 
 @pytest.fixture

@@ -19,12 +19,6 @@ from documentation import page
 WALL = datetime(2026, 5, 4, 12, 30, 1, 250000, UTC)
 
 
-@pytest.fixture
-def logged(caplog: pytest.LogCaptureFixture) -> pytest.LogCaptureFixture:
-    caplog.set_level(logging.INFO, "canfb")
-    return caplog
-
-
 def watched(verbose: bool = False) -> tuple[EventLog, canfb.FeedbackModule]:
     module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32))
     log = EventLog(verbose, wall=lambda: WALL)
@@ -33,13 +27,14 @@ def watched(verbose: bool = False) -> tuple[EventLog, canfb.FeedbackModule]:
 
 
 def test_a_line_has_time_node_and_text_and_a_program_gets_the_values(
-    logged: pytest.LogCaptureFixture,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
+    caplog.set_level(logging.INFO, "canfb")
     log, module = watched()
     module.start(5.0)
-    assert logged.records == [], "what happens before the bus is open waits"
+    assert caplog.records == [], "what happens before the bus is open waits"
     log.begin()
-    (record,) = logged.records
+    (record,) = caplog.records
     assert record.getMessage() == "2026-05-04 12:30:01.250 node 32 (20h): boot-up, PRE-OPERATIONAL"
     values = record.event  # type: ignore[attr-defined]
     assert values["event"] == "nmt"
@@ -47,13 +42,14 @@ def test_a_line_has_time_node_and_text_and_a_program_gets_the_values(
     assert datetime.fromisoformat(values["time"]) == WALL
     assert json.loads(json.dumps(values)) == values
     module.receive(Frame(0x000, b"\x01\x00"), 6.0)
-    assert logged.records == [record], "no frame waits for a line"
+    assert caplog.records == [record], "no frame waits for a line"
     log.tick(6.001)
-    assert logged.records[1].getMessage().endswith(" node 32 (20h): OPERATIONAL")
+    assert caplog.records[1].getMessage().endswith(" node 32 (20h): OPERATIONAL")
 
 
 @pytest.mark.parametrize("verbose", [False, True])
-def test_a_fault_at_1_khz_does_not_flood(verbose: bool, logged: pytest.LogCaptureFixture) -> None:
+def test_a_fault_at_1_khz_does_not_flood(verbose: bool, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "canfb")
     log, module = watched(verbose)
     log.begin()
     seconds = 60
@@ -64,11 +60,11 @@ def test_a_fault_at_1_khz_does_not_flood(verbose: bool, logged: pytest.LogCaptur
         module.events.on_event(Event(EventKind.POSITION, now, f"change {k}"))
         module.events.on_event(Event(EventKind.FAULT, now, f"fault {k}"))
     log.close(float(seconds))
-    lines = [record.getMessage() for record in logged.records]
+    lines = [record.getMessage() for record in caplog.records]
     assert len(lines) <= (2 if verbose else 1) * (BURST + 10)
     assert lines[-2 if verbose else -1].endswith(f"the last: change {seconds * 1000 - 1}"), "the end is told"
     assert any("more in the last 1 s; the last: change" in line for line in lines)
-    told = [record.event for record in logged.records]  # type: ignore[attr-defined]
+    told = [record.event for record in caplog.records]  # type: ignore[attr-defined]
     counted = sum(one.get("more", 1) for one in told if one["event"] == "position")
     assert counted == seconds * 1000, "each is told or counted"
     assert any(one["event"] == "fault" for one in told) == verbose
