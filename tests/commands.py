@@ -13,15 +13,12 @@ from canfb.cli.main import main
 
 
 def yaml_file(folder: Path, text: str, name: str = "feedback.yaml") -> Path:
-    """A new file with this text."""
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
 
 
 class Said(NamedTuple):
-    """Both outputs of a command."""
-
     out: str
     err: str
 

@@ -103,7 +103,6 @@ def command(capsys: pytest.CaptureFixture[str]) -> Any:
 
 @pytest.fixture
 def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
-    """Runs `canfb ...` against a bench."""
     from node_commands import Commands
 
     return Commands(monkeypatch, capsys)

@@ -56,11 +56,9 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Process id, for signals."""
         return self._child.pid
 
     def has_ended(self) -> bool:
-        """Whether it has ended, by itself or by a signal."""
         return self._child.poll() is not None
 
     def find(self, pattern: str, patience_s: float) -> str | None:
@@ -94,7 +92,6 @@ class Process:
         return status
 
     def send(self, number: signal.Signals) -> None:
-        """Send it a signal."""
         self._child.send_signal(number)
 
     def stop(self) -> int:

@@ -118,5 +118,4 @@ def motion(samples: int, begin_s: float = 0.1, speed: float = 0.07, jitter_s: fl
 
 
 def session(samples: int = 300, **rest: Any) -> list[Planned]:
-    """Start, and a motion."""
     return [(0.05, nmt(1, 0)), *motion(samples, **rest)]

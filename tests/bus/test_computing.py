@@ -171,8 +171,6 @@ def test_the_runner_computes_for_the_module_and_ends_it() -> None:
 
 
 class Idle(FakeDevice, FakeComputer):
-    """A device as well."""
-
     def __init__(self, clock: FakeClock, *jobs: Any) -> None:
         FakeDevice.__init__(self, clock)
         FakeComputer.__init__(self, *jobs)

@@ -192,7 +192,6 @@ def test_two_groups_are_two_buses_of_frames(
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Any]]:
-    """What is opened, and how."""
     calls: list[Any] = []
     with contextlib.ExitStack() as buses:
 

@@ -168,9 +168,6 @@ def test_an_older_module_has_no_delays(monkeypatch: pytest.MonkeyPatch) -> None:
     assert read_active(bench.access) == wanted
 
 
-# The arithmetic.
-
-
 def test_a_clipped_cosine_stays_clipped() -> None:
     sine, cosine = ENCODER.sample(np.arange(1000) * 0.37)
     cosine[100] = 2047

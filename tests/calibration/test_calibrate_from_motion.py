@@ -182,7 +182,6 @@ def test_progress_rises_to_one():
 
 @pytest.fixture(scope="module")
 def several() -> list[tuple[Encoder, Calibration]]:
-    """Encoders, speeds and noise at random."""
     found = []
     for seed in range(12):
         rng = np.random.default_rng(100 + seed)

@@ -108,7 +108,6 @@ def network(multicast_bus: can.BusABC, started: Started) -> Any:
 
 @contextlib.contextmanager
 def page(address: str) -> Iterator[http.client.HTTPResponse]:
-    """Its stream."""
     where = urlsplit(address)
     connection = http.client.HTTPConnection(str(where.hostname), where.port, timeout=PATIENCE_S)
     with contextlib.closing(connection):

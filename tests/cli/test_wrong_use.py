@@ -54,7 +54,6 @@ WRONG_USE = {
     **{f"try --rate {rate}": f"--rate {rate}" for rate in ("20", "2000", "nan")},
     "try --port 70000": "--port 70000",
     "try --write-config feedback.yaml": "--write-config feedback.yaml: is a configuration, and would be",
-    # simulate
     "simulate x.yaml --rate fast": "canfb simulate: argument --rate: invalid float value",
     **{
         f"simulate feedback.yaml --rate {rate}": f"--rate {rate}: must be 0.1 to 100000 Hz"
@@ -90,7 +89,6 @@ WRONG_USE = {
     "simulate feedback.yaml --rate 100 --jitter 0.1": "is 1000% of the period",
     "simulate drive.yaml -i virtual --samples x.csv": "--samples: the drive of the configuration moves",
     "simulate drive.yaml -i virtual --rpm 5": "--rpm: the drive of the configuration moves",
-    # calibrate
     "calibrate --seconds 0": "canfb: --seconds 0: must be 0.1 to 3600",
     "calibrate --verify nan": "--verify nan: must be 0.1 to 600",
     "calibrate --entries 15": "--entries 15: must be 16 to 4096",
@@ -126,7 +124,6 @@ WRONG_USE = {
     "calibrate --speeds 61,1000 --wait 0": "--wait 0: must be 1 to 86400",
     "calibrate --speeds 61,1000 --samples x --wait 10": "--wait: not with --samples",
     "calibrate --speeds 61,1000 --samples x": "with --speeds a folder with a file for each speed",
-    # commission
     "commission 33 0x20": "32: there is another node-ID already",
     "commission a.yaml --config b.yaml": "a.yaml: there is another file already",
     "commission 0x20 --margin nan": "--margin nan: must be 1.2 to 10",
@@ -136,7 +133,6 @@ WRONG_USE = {
     "commission 0x20 --save": "--save: only with --write, without which nothing is written",
     "commission 0x20 --encoder-interface 0x20": "must differ from the node-ID of the module",
     "commission 0x20 --encoder-interface 16 --source recording": "not with --source recording",
-    # node, why, sdo, table
     **{f"node reset -- {node}": NOT_A_NODE for node in ("0", "128", "-1", "x", "0x80", "ALL", "1.5")},
     "node": "required: PART",
     "node start": "required: NODE",
@@ -156,7 +152,6 @@ WRONG_USE = {
     "table write 0x20 t.yaml --save": "--save: only with --activate",
     **dict.fromkeys(("table write 0 t.yaml", "config dcf 0"), f"'0' {NOT_A_NODE}; see"),
     "table clear 0x20 --timeout 0": "--timeout 0: must be 0.01 to 60",
-    # monitor
     **{f"monitor {node}": f"'{node.split()[-1]}' {NOT_A_NODE}" for node in ("0", "128", "--web 200")},
     "monitor --log x.log -i virtual": "--interface: not with --log",
     "monitor --frames --log x.log -c can0": "--channel: not with --log",
@@ -178,7 +173,6 @@ WRONG_USE = {
             ("--sdo -i virtual", "--sdo: name the nodes that may be asked"),
         )
     },
-    # config dcf
     "config dcf": "the following arguments are required: NODE",
     "config dcf key16.yaml --concise module-10h.dcf": "module-10h.dcf: must differ from --out",
     "config dcf 3 1": "1: there is another node-ID already",
@@ -192,10 +186,8 @@ WRONG_USE = {
     "config dcf unnamed.yaml": "canfb: the module with serial number 7 has no node-ID yet",
     "config dcf feedback.yaml": "feedback.yaml: NODE is required, as there are several: 32 (20h), 33 (21h)",
     "config dcf feedback.yaml 1": "feedback.yaml: 1: no module has this node-ID; there are 32 (20h), 33",
-    # log
     **dict.fromkeys(("log record x.log --seconds 0", "log record x.log --seconds x"), "--seconds: "),
     **{f"log record x.log --max-size {size}": "--max-size: " for size in ("-1", "9X")},
-    # plan
     "plan feedback.yaml --adc-bits 12": "--adc-bits: only without CONFIG.yaml",
     **{f"plan feedback.yaml --modules {n}": "--modules: only without CONFIG.yaml" for n in (1, 2)},
     **{

@@ -73,9 +73,6 @@ def ids(frames: list[Frame]) -> set[int]:
     return {frame.can_id for frame in frames}
 
 
-# What the module never does
-
-
 def test_not_operational_it_costs_one_frame() -> None:
     bus = Bus()
     bus.hear(SYNC, Frame(TRACKS, bytes(4)), SYNC, Frame(0x100, bytes(6)), Frame(0x700, b"", True))
@@ -137,9 +134,6 @@ def test_without_autostart_no_pdo_and_with_it_at_once() -> None:
     assert ids(going.sent) == {0x720, 0x1A0, 0x2A0}
 
 
-# Transmission types
-
-
 def ages(rpdo: int, tpdo: int) -> set[tuple[str, int]]:
     """Where the position of a sample goes out, and how many SYNCs after its own."""
     bus = Bus()
@@ -169,9 +163,6 @@ def test_type_1_sends_always_type_0_only_news() -> None:
         bus.write(0x1800, 2, kind, 1)
         bus.start()
         assert [frame.can_id for frame in bus.hear(*[SYNC] * 5)].count(0x1A0) == frames
-
-
-# The rest of the page
 
 
 def test_all_frames_of_cansend_are_taken() -> None:

@@ -344,7 +344,6 @@ class Machine:
         self._rng = np.random.default_rng(11)
 
     def scan(self) -> dict[str, int]:
-        """The next one."""
         time_s = len(self.truth_cycles) * self.scan_s
         self.truth_cycles.append(self._motion.revolutions(time_s) * 2500)
         sine, cosine = self._encoder.sample(self.truth_cycles[-1], self._rng)

@@ -56,7 +56,6 @@ def pace(request: pytest.FixtureRequest) -> Pace:
 
 @pytest.fixture(scope="session")
 def can_channel() -> str:
-    """Name of the SocketCAN interface."""
     return CHANNEL
 
 
@@ -117,5 +116,4 @@ def open_bus() -> Iterator[OpenBus]:
 
 @pytest.fixture
 def can_bus(open_bus: OpenBus) -> can.BusABC:
-    """One python-can bus on the interface."""
     return open_bus()

@@ -64,7 +64,6 @@ def write_config(folder: Path, text: str = "", simulation: str = "") -> str:
 
 
 def frame(can_id: int, data: bytes = b"") -> can.Message:
-    """A data frame."""
     return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
 
 
