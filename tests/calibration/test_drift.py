@@ -125,8 +125,6 @@ def test_measurements_of_one_encoder_differ_by_their_uncertainty(
         assert found.peak < 10.0 * uncertainty
 
 
-# Tracks that change while they are measured.
-
 Changed = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 NOISE_COUNTS = 0.5
 

@@ -31,6 +31,7 @@ from documentation import commands, page
 from folding import each
 from html_page import Page
 from machine_kit import BEFORE, correction_of, duty
+from node_commands import between
 
 ENCODER = Encoder(amplitude_counts=1400.0, noise_lsb=0.6)
 SHORT = ("--seconds", "2.1", "--watch", "0.3")
@@ -208,14 +209,8 @@ def spoil_the_limit(bench: Bench) -> None:
 
 
 def spoil_the_speed(bench: Bench) -> None:
-    receive = bench.module.receive
-
-    def spoiled(frame: Frame, now: float) -> list[Frame]:
-        if frame.can_id == 0x620 and frame.data[:4] == b"\x40\x11\x20\x07":
-            return [Frame(0x5A0, b"\x43\x11\x20\x07" + struct.pack("<f", float("nan")))]
-        return receive(frame, now)
-
-    bench.module.receive = spoiled  # type: ignore[method-assign]
+    answer = Frame(0x5A0, b"\x43\x11\x20\x07" + struct.pack("<f", float("nan")))
+    between(bench, lambda frame: [answer] if frame.data[:4] == b"\x40\x11\x20\x07" else None)
 
 
 @pytest.mark.parametrize(

@@ -8,18 +8,16 @@ import signal
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import can
 import pytest
 
-from canfb.bus.frame_bus import FrameBus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.cli.main import main
 from canfb.configuration import parse_config
-from canfb.device.node import Device
 from canfb.errors import ConfigError
 from canfb.hosting import serving
 from canfb.module.feedback_module import FeedbackModule
@@ -100,11 +98,8 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
         clock = FakeClock()
         bus = EndingBus(clock, plan)
 
-        def make_runner(opened: FrameBus, devices: list[Device], **options: Any) -> Runner:
-            return Runner(opened, devices, clock=clock, sleep=clock.sleep, **options)
-
         monkeypatch.setattr(serving, "open_device_bus", lambda words: frame_bus(bus))
-        monkeypatch.setattr(serving, "Runner", make_runner)
+        monkeypatch.setattr(serving, "Runner", partial(Runner, clock=clock, sleep=clock.sleep))
         story = Story(main(["run", str(config), "-i", "socketcan", "-c", "can7"]))
         for _, sent in bus.sent:
             story.sent.setdefault(sent.arbitration_id, []).append(bytes(sent.data))

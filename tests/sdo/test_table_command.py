@@ -17,6 +17,7 @@ from canfb.master.all_or_nothing import put_in_force, read_active
 from canfb.sdo.tables import as_yaml, difference, read_table
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
+from commands import yaml_file
 from commissioning_kit import MODULE_ID, OTHER, TABLE, Bench, bench_with, running
 from documentation import blocks, commands, page
 from ideal_tracks import wavy_table
@@ -31,9 +32,8 @@ FULL = OSError(28, "No space left on device")
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    path = tmp_path / "table.yaml"
-    path.write_text(as_yaml(NEW, {"date": "2026-03-01", "cycles_per_revolution": 2500}))
-    return path
+    text = as_yaml(NEW, {"date": "2026-03-01", "cycles_per_revolution": 2500})
+    return yaml_file(tmp_path, text, "table.yaml")
 
 
 def in_force(bench: Bench) -> Correction:
@@ -139,8 +139,7 @@ def test_a_full_disk_is_named_and_the_old_table_is_in_force(
 def test_the_table_of_another_encoder_is_refused(canfb: Commands, tmp_path: Path) -> None:
     bench = running()
     before = in_force(bench)
-    path = tmp_path / "other.yaml"
-    path.write_text(as_yaml(Correction(TABLE, Conditioning(sine_gain=3.0, cosine_gain=3.0)), {}))
+    path = yaml_file(tmp_path, as_yaml(Correction(TABLE, Conditioning(sine_gain=3.0, cosine_gain=3.0)), {}))
     _, err = canfb(bench, "table", "write", NODE, path, "--activate", code=1)
     assert re.search(r"the amplitude is \d{4} counts, outside 410\.\.2560 .* --force activates it", err)
     assert in_force(bench) == before
@@ -242,8 +241,7 @@ def test_what_waits_is_not_taken_for_what_is_in_force(canfb: Commands, file: Pat
     """Between upload and activation 2002h and 2005h belong to the next table: 2020:07 is the one in force."""
     bench = bench_with(OLD)
     harmonics = Conditioning(harmonic_2_forward_real=0.0078125)
-    path = tmp_path / "harmonics.yaml"
-    path.write_text(as_yaml(Correction(TABLE, harmonics), {}))
+    path = yaml_file(tmp_path, as_yaml(Correction(TABLE, harmonics), {}), "harmonics.yaml")
     canfb(bench, "table", "write", NODE, path)
     assert bench.access.read(0x2005, 3, "f") == harmonics.harmonic_2_forward_real, "2005h is written, too"
     assert in_force(bench) == read_active(bench.access) == OLD
