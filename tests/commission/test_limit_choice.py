@@ -269,7 +269,7 @@ def test_tracks_that_change_are_stated(counts: float, stated: float) -> None:
     machine = fresh("quiet")
     readings, samples = machine.readings(COUNT), machine.samples(COUNT)
     samples = replace(samples, sine=samples.sine + np.linspace(0.0, counts, COUNT))
-    found = observe(samples, machine.used, machine.limits, readings).change_cycles
+    found = observe(samples, machine.used, machine.limits, readings).motion.change
     assert found == pytest.approx(stated, rel=0.4)
 
 

@@ -140,10 +140,10 @@ def machine_facts(done: Commissioned) -> list[Row]:
         ),
         Row(
             "change in time",
-            f"errors of the phase differ by {machine.change_cycles:.2g} cycle rms"
-            if machine.change_cycles
+            f"errors of the phase differ by {motion.change:.2g} cycle rms"
+            if motion.change
             else "none is seen",
-            change_rms_cycles=machine.change_cycles,
+            change_rms_cycles=motion.change,
         ),
         Row(
             "residual",

@@ -17,20 +17,12 @@ from canfb.calibrate.measurement import SupervisedSamples, supervise
 from canfb.calibration.deviation import phases_with
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.recording import positions
-from canfb.calibration.result import (
-    MOST_CHANGE_CYCLES,
-    THIRDS,
-    about_mean,
-    changed,
-    largest_change,
-    robust_rms,
-)
+from canfb.calibration.result import MOST_CHANGE_CYCLES, about_mean, changed, robust_rms
 from canfb.commission.machine_figures import (
     TELLING_CYCLES,
     MotionFigures,
     Observation,
     TrackFigures,
-    errors_of_parts,
     low_pass_of,
     motion_figures,
     repeats_of_frozen_input,
@@ -312,9 +304,8 @@ def observe(
             "the machine stands still: nothing can be said of its acceleration; let it do its normal duty "
             "meanwhile"
         )
-    change = largest_change(*errors_of_parts(followed, THIRDS)).rms
-    if change > MOST_CHANGE_CYCLES:
-        raise CommissioningError(str(changed(f"by {change:.1e} cycle rms from one third to another")))
+    if motion.change > MOST_CHANGE_CYCLES:
+        raise CommissioningError(str(changed(f"by {motion.change:.1e} cycle rms from one third to another")))
     gain = math.sqrt(abs(used.conditioning.sine_gain * used.conditioning.cosine_gain))
     spread, note = _coarse_spread(samples, followed, limits)
     jitter_s, off_grid_s = _grid(samples, interval_s)
@@ -332,7 +323,6 @@ def observe(
         jitter_s=jitter_s,
         off_grid_s=off_grid_s,
         low_pass=low_pass,
-        change_cycles=change,
     )
 
 

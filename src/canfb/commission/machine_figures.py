@@ -8,6 +8,7 @@ times it is the rms of the fourth difference; the median ignores faults.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from canfb.calibrate.measurement import SupervisedSamples
 from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass, response
 from canfb.calibration.result import (
     BINS,
+    THIRDS,
     bins_of,
     largest_change,
     mean_in_bins,
@@ -27,7 +29,7 @@ from canfb.calibration.result import (
 from canfb.master.samples import TrackSamples
 from canfb.signal.correction import Correction
 from canfb.signal.front_end import Corners
-from canfb.signal.phase import BoolArray, FloatArray
+from canfb.signal.phase import BoolArray, FloatArray, IntArray
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 
 HALVES = (1, 2, 4, 8, 16, 32, 64)  # of the windows of the parabolas, samples to each side
@@ -47,6 +49,7 @@ class MotionFigures:
     noise                rms of the phase of a sample at the speeds at which it is largest
     residual             second difference at each sample from the third on; NaN where not known
     fitted_error         of the phase, significant; NaN: the same few phases came
+    change               rms by which that of thirds of the time differs; 0.0: noise
     """
 
     slowest: float
@@ -58,6 +61,7 @@ class MotionFigures:
     noise: float
     residual: FloatArray
     fitted_error: float
+    change: float
 
     @property
     def top_speed(self) -> float:
@@ -93,6 +97,7 @@ def motion_figures(samples: SupervisedSamples) -> MotionFigures:
     noise = _noise(acceleration, np.where(moves, np.abs(speed), np.nan)[1:])
     slow = _known(np.convolve(speed, _bell(8), "valid"))  # a speed between two samples is mostly noise
     slow = slow if len(slow) else _known(speed)
+    fitted_error, change = _phase_errors(samples)
     return MotionFigures(
         slowest=float(slow.min()),
         fastest=float(slow.max()),
@@ -102,7 +107,8 @@ def motion_figures(samples: SupervisedSamples) -> MotionFigures:
         jerk=_largest(np.diff(acceleration), noise, np.array([1.0, -3.0, 3.0, -1.0])),
         noise=noise,
         residual=np.diff(speed) * elapsed[2:],  # eq. 9 carries the last speed on
-        fitted_error=_fitted_error(samples),
+        fitted_error=fitted_error,
+        change=change,
     )
 
 
@@ -111,25 +117,30 @@ ORDERS = np.arange(1, 5)  # of the error: offset; gain and phase error; harmonic
 LEAST_TOLD = 0.01  # of an error, rms, must show in the residuals: 400 with a noise of 0.001 tell 0.005 cycle
 
 
-def _fitted_error(samples: SupervisedSamples) -> float:
-    tables, noise = errors_of_parts(samples, 1)
-    fitted = largest_change(np.append(tables, np.zeros((1, BINS)), axis=0), np.append(noise, 0.0)).peak
-    return fitted if math.isfinite(noise[0]) else math.nan
-
-
-def errors_of_parts(samples: SupervisedSamples, parts: int) -> tuple[FloatArray, FloatArray]:
-    """Errors over the phase in parts of the time, by least squares from the residuals, and their noise.
-
-    Cycles, shapes (parts, BINS), (parts,); noise inf: the same few phases came.
-    """
+def _phase_errors(samples: SupervisedSamples) -> tuple[float, float]:
+    """``fitted_error`` and ``change`` of :class:`MotionFigures`."""
     elapsed, speed = samples.elapsed[1:, None], samples.speed[:, None]
     columns = np.diff(np.diff(_errors(samples.position), axis=0) / elapsed, axis=0) * elapsed[1:]
     residual = (np.diff(speed, axis=0) * elapsed[1:])[:, 0]
     telling = np.flatnonzero(np.isfinite(residual) & (np.abs(speed[1:, 0]) >= TELLING_CYCLES))
-    tables, noise = np.zeros((parts, BINS)), np.zeros(parts)
-    if len(telling) < parts * LEAST_OF_GROUP:
-        return tables, noise
-    for number, part in enumerate(np.array_split(telling, parts)):
+    parts = [
+        np.array_split(telling, count) if len(telling) >= count * LEAST_OF_GROUP else []
+        for count in (1, THIRDS)
+    ]
+    (whole, noise), thirds = (_fitted(columns, residual, one) for one in parts)
+    largest = largest_change(np.append(whole, np.zeros((1, BINS)), axis=0), np.append(noise, 0.0)).peak
+    return math.nan if np.isinf(noise).any() else largest, largest_change(*thirds).rms
+
+
+def _fitted(
+    columns: FloatArray, residual: FloatArray, parts: Sequence[IntArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Errors over the phase by least squares from parts of the residuals, and their noise, cycles.
+
+    Shapes (parts, BINS), (parts,); noise inf: the same few phases came.
+    """
+    tables, noise = np.zeros((len(parts), BINS)), np.zeros(len(parts))
+    for number, part in enumerate(parts):
         found, _, _, sizes = np.linalg.lstsq(columns[part], residual[part], rcond=None)
         if sizes[-1] < LEAST_TOLD * math.sqrt(len(part)):
             noise[number] = math.inf
@@ -327,7 +338,6 @@ class Observation:
     low_pass             by the amplitude over the speed
     jitter_s             rms of the time from SYNC to SYNC, or by sample times
     off_grid_s           largest distance of a SYNC, or of a sample time, from the even grid
-    change_cycles        rms by which the errors of parts of the time differ; 0.0: no more than noise
     """
 
     samples: TrackSamples
@@ -343,7 +353,6 @@ class Observation:
     jitter_s: float | None
     off_grid_s: float | None
     low_pass: LowPass | None
-    change_cycles: float
 
     def rad(self, cycles: float, power: int, cycles_per_revolution: int) -> float:
         """Cycles per interval to this power, as rad per second to this power."""
