@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 
 import numpy as np
 import pytest
@@ -205,6 +206,19 @@ def test_started_on_a_turning_machine(speed: float, fault: str) -> None:
     found = of_valid(after)
     assert len(found) > 700
     assert np.ptp(found) < 0.03
+
+
+@pytest.mark.parametrize("seed", [*range(10), 2164, 3390, 3979, 7719, 9420])
+def test_samples_that_are_missing_leave_no_wrong_speed_of_a_start(seed: int) -> None:
+    draw = random.Random(seed)
+    speed = draw.choice([-3, -2, -1, 1, 2, 3]) + draw.uniform(-0.1, 0.1)
+    machine = Machine(speed, draw.uniform(0.0, 256.0), coarse=0.0, cycles_per_revolution=256)
+    valid = []
+    for sample in range(40):
+        missing = 0 < sample < 14 and draw.random() < 0.3
+        got = draw.choice([machine.miss, machine.spoil])() if missing else machine.step()
+        valid += [machine.error(got)] * got.valid
+    assert not valid or np.ptp(valid) < 0.1
 
 
 @each("outage, speed, every", [(4, 86.4, 1), (30, 86.4, 1), (500, 86.4, 1), (30, 5.3, 2), (30, 5.3, 3)])

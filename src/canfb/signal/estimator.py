@@ -147,6 +147,9 @@ class Estimator:
         self._forget()
         self.places.append((before.cycles, before.phase, 1.0))
         self.places.append((last.cycles, last.phase, elapsed))
+        gap = self.tracker.gap
+        if gap and not self.lost:  # the samples since the last one that was counted are as missing ones
+            self._doubted().skip(gap, flagged=True)
 
     def rescale(self, factor: float) -> None:
         self.tracker.rescale(factor)

@@ -50,13 +50,13 @@ class Tracker:
     """
 
     __slots__ = (
-        "_gap",
         "_phase",
         "_phase_before",
         "_start_speed",
         "_step",
         "cycles",
         "elapsed",
+        "gap",
         "residual_limit",
         "started",
         "step_cycles",
@@ -77,7 +77,8 @@ class Tracker:
         self._phase = 0.0  # p(k-1)
         self._phase_before = 0.0  # p(k-2)
         self.elapsed = 1.0  # intervals between samples k-2 and k-1
-        self._gap = 0.0  # intervals since sample k-1 that brought no phase; read once there was one
+        self.gap = 0.0
+        """Intervals since sample k-1 without a phase that was counted; once there was one."""
         self.started = False
         """True once there was a phase."""
         self.step_cycles = 0.0
@@ -86,13 +87,13 @@ class Tracker:
     def halt(self) -> None:
         """Keep the position and forget the speed."""
         self._step, self._phase_before = 0, self._phase
-        self.elapsed, self._gap = 1.0, 0.0
+        self.elapsed, self.gap = 1.0, 0.0
         self._find_speed()
 
     def rescale(self, factor: float) -> None:
         """Count intervals in another unit, ``factor`` times as many."""
         self.elapsed *= factor
-        self._gap *= factor
+        self.gap *= factor
         self._find_speed()
 
     @property
@@ -104,11 +105,11 @@ class Tracker:
     @property
     def is_steady(self) -> bool:
         """The next sample is one interval after two that were one interval apart."""
-        return self.started and self._gap == 0.0 and self.elapsed == 1.0
+        return self.started and self.gap == 0.0 and self.elapsed == 1.0
 
     def set_places(self, before: Track, last: Track, elapsed: float = 1.0) -> None:
         """Go on from two samples, ``before`` and ``last``, ``elapsed`` intervals apart."""
-        self.started, self.elapsed, self._gap = True, elapsed, 0.0
+        self.started, self.elapsed, self.gap = True, elapsed, 0.0
         self._phase_before, self._phase = before.phase, last.phase
         self.cycles, self._step = last.cycles, last.cycles - before.cycles
         self._find_speed()
@@ -150,7 +151,7 @@ class Tracker:
             return self.predict(elapsed)
         if not self.started:
             return Track(self.cycles, phase, 0.0, True)
-        elapsed += self._gap
+        elapsed += self.gap
         if elapsed == self.elapsed:
             cycles = self.cycles + self._step
             c = 2.0 * self._phase - self._phase_before - phase
@@ -189,25 +190,25 @@ class Tracker:
         if self.started:
             self._step = track.cycles - self.cycles
             self._phase_before = self._phase
-            self.elapsed = elapsed + self._gap
+            self.elapsed = elapsed + self.gap
         else:
             self.started = True
             whole, self._phase_before = split(track.phase - self._start_speed)
             self._step = -whole
         self.cycles = track.cycles
         self._phase = track.phase
-        self._gap = 0.0
+        self.gap = 0.0
         self._find_speed()
 
     def skip(self, elapsed: float = 1.0) -> None:
         """Step over a sample without a usable phase; the next prediction spans the gap."""
-        self._gap += elapsed
+        self.gap += elapsed
 
     def predict(self, elapsed: float = 1.0) -> Track:
         """Position after ``elapsed`` intervals at the last speed; residual 0.5, never ok."""
         if not self.started:
             return Track(self.cycles, 0.0, 0.5, False)
-        whole, part = self._carry(elapsed + self._gap)
+        whole, part = self._carry(elapsed + self.gap)
         turns, phase = split(self._phase + part)
         return Track(self.cycles + whole + turns, phase, 0.5, False)
 
