@@ -197,13 +197,6 @@ class Estimator:
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
-        second = self.timed and len(self.places) == 1
-        tracker, steady = self.tracker, elapsed == 1.0 and self.tracker.is_steady
-        if steady and not (second or self._doubt or self.lost or self._speeds.active):
-            residual = tracker.advance(phase, 1.0, tracker.residual_limit)
-            if residual >= 0.0:
-                self.places.append((tracker.cycles, phase, 1.0))
-                return Track(tracker.cycles, phase, residual, True), VALID
         if self._follows_speeds(elapsed):
             return self._by_speed(phase, elapsed)
         return self._taken(phase, elapsed)
@@ -247,7 +240,6 @@ class Estimator:
         if self._doubt is None and elapsed < LONG_INTERVAL:
             counted = self._counted(phase, elapsed)
             if counted is not None:
-                tracker.accept(counted, elapsed)
                 self.places.append((counted.cycles, phase, elapsed))
                 return counted, VALID
             bits = RESIDUAL if elapsed < HOLE_INTERVALS else 0
@@ -294,13 +286,18 @@ class Estimator:
         return radius if radius < HALF_CYCLE else 0.0
 
     def _counted(self, phase: float, elapsed: float) -> Track | None:
-        """The position of a sample in turn, if it is the only one that the machine can be at."""
-        track, radius = self.tracker.look(phase, elapsed), self.limit_over(elapsed)
-        if radius > 0.0:
-            return track._replace(ok=True) if track.residual < radius else None
+        """The position of a sample in turn, taken if it is the only one that the machine can be at."""
+        tracker, limit = self.tracker, self.limit_over(elapsed)
+        if limit > 0.0:
+            residual = tracker.advance(phase, elapsed, limit)
+            return Track(tracker.cycles, phase, residual, True) if residual >= 0.0 else None
         spots = self._spots()
         counts = self.declared.usual.window(spots, spots[-1].time + elapsed).counts(phase)
-        return track._replace(cycles=counts[0], ok=True) if len(counts) == 1 else None
+        if len(counts) != 1:
+            return None
+        track = tracker.look(phase, elapsed)._replace(cycles=counts[0], ok=True)
+        tracker.accept(track, elapsed)
+        return track
 
     def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""

@@ -77,8 +77,7 @@ class Tracker:
         self._phase = 0.0  # p(k-1)
         self._phase_before = 0.0  # p(k-2)
         self.elapsed = 1.0  # intervals between samples k-2 and k-1
-        self.gap = 0.0
-        """Intervals since sample k-1 without a phase that was counted; once there was one."""
+        self.gap = 0.0  # intervals since sample k-1 without a phase that was counted; once there was one
         self.started = False
         """True once there was a phase."""
         self.step_cycles = 0.0
