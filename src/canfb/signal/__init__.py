@@ -3,5 +3,5 @@
 Nothing here knows CAN, a clock or a file. One sample flows through the modules in
 this order::
 
-    chain (interval) -> conditioning -> limits of one sample -> phase -> correction -> tracker -> recovery
+    chain, sample_times -> stages: conditioning -> phase -> correction -> supervision -> tracker, estimator
 """

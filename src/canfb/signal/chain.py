@@ -1,7 +1,7 @@
-"""The whole chain for one encoder: when its samples were taken (:mod:`.sample_times`), what they give
-(:mod:`.stages`).
+"""The whole chain for one encoder: sample times to intervals (:mod:`.sample_times`), samples at known
+intervals to positions (:mod:`.stages`).
 
-Intervals are those of SYNC here, and those from sample to sample in the stages.
+Intervals here are those of SYNC; in the stages, from sample to sample.
 """
 
 from __future__ import annotations
@@ -33,34 +33,36 @@ class SignalChain:
     cycle count; see :mod:`canfb.signal.estimator` for what happens then. ``stages`` take samples whose
     interval is known.
 
-    TypeError for a ``config`` that is not a :class:`ChainConfig` and a ``table`` that is not a
-    :class:`canfb.CorrectionTable` or a whole :class:`canfb.Calibration` (None: the identity).
+    TypeError unless ``config`` is a :class:`ChainConfig`, and ``table`` a
+    :class:`canfb.CorrectionTable`, a whole :class:`canfb.Calibration` or None (the identity).
     """
 
     def __init__(self, config: ChainConfig, table: AnyTable = None) -> None:
         config, table = with_correction(config, table)
         self.stages = Stages(config, table)
-        self.tracks = self.stages.tracks  # What makes a phase of counts.
-        # Called when :attr:`unit_s` has changed, before a sample is held against limits of the old one.
+        self.tracks = self.stages.tracks  # from counts to a phase
+        # Called when :attr:`unit_s` has changed: limits per interval must be set before the next sample.
         self.on_unit: Callable[[], None] = lambda: None
-        # Of the last interval: what the samples before the newest gave, oldest first.
+        # Feedback of the samples before the newest of the last SYNC interval, oldest first.
         self.between: tuple[Feedback, ...] = ()
-        # The last sample came, but so soon after the one before that nothing was made of it.
+        # The last sample was new, but too near to the one before to be used.
         self.crowded = False
-        # Sample times say how long an interval was; False: they only tell new samples from doubled ones.
+        # Sample times give the elapsed intervals; False: they only distinguish new samples from doubled ones.
         self.measures_intervals = True
         self._pauses = Pauses(self.stages)
         self.times = SampleTimes(self.stages.rests)
-        self.sample_grid = self.times.grid  # The clock of the encoder interface, by the sample times so far.
+        self.sample_grid = self.times.grid  # the clock of the encoder interface, by its sample times
         self._per_sync = 1
-        self._left_out = 0.0  # since then, of samples that were crowded
-        self._unused = 0.0  # and of those with a wrong time that were not used, as the machine had moved
+        # Intervals since the last sample whose time was right: of crowded samples, and of samples that were
+        # not used because their time was wrong and the machine moved.
+        self._left_out = 0.0
+        self._unused = 0.0
         self._untimed_unit_s = config.interval_s
 
-    # What it is told between two samples.
+    # Set between samples.
 
     def set_limits(self, limits: ChainLimits) -> None:
-        """Take new limits. Another encoder resets coarse track and zero pulse."""
+        """Use these limits. Another number of cycles per revolution resets coarse track and zero pulse."""
         if limits.samples_per_sync != self._per_sync:
             self.stages.sample_faster(limits.samples_per_sync / self._per_sync)
             self._per_sync = limits.samples_per_sync
@@ -69,33 +71,32 @@ class SignalChain:
         self._follow_unit()
 
     def activate(self, correction: Correction) -> None:
-        """Take another ``correction``. TypeError for a bad table."""
+        """Use this ``correction``. TypeError for a bad table."""
         self.stages.activate(correction)
 
     def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
-        """Follow the drift of the tracks within these limits from the next sample on; None: as calibrated.
+        """Follow the drift of the tracks within these ``limits`` from the next sample on; None: off.
 
-        It goes on from the drift that was found, or from another one, ``start_from``.
+        Begins at the drift found so far, or at ``start_from``.
         """
         self.stages.adapt(limits, start_from)
 
     def use_second(self, sensor: SecondSensor | None) -> None:
-        """Take another sensor, or none; nothing is known of it. TypeError if it is not one."""
+        """Use another ``sensor`` from its next value on, or None. TypeError for anything else."""
         if sensor is not None and not isinstance(sensor, SecondSensor):
             raise TypeError(f"sensor must be a SecondSensor or None, not {type(sensor).__name__}")
         self.stages.use_second(sensor)
 
     def hear_second(self, values: int, increments: int) -> None:
-        """An interval of SYNC is over in which the other sensor sent this number of ``values``.
+        """End an interval of SYNC in which the other sensor sent this number of ``values``; -1: not certain.
 
-        With just one, its ``increments`` (INTEGER32) are those at the sample before this call. -1: it is not
-        certain which ones came.
+        If it sent one, ``increments`` (INTEGER32) is its position at the sample before this call.
         """
         second = self.stages.second
         if second is not None:
             second.hear(int(values), int(increments))
 
-    # What it has found.
+    # Results.
 
     @property
     def correction(self) -> Correction:
@@ -104,7 +105,7 @@ class SignalChain:
 
     @property
     def adaptation(self) -> Adaptation:
-        """What follows the drift of the tracks; :meth:`adapt` turns it on."""
+        """The drift of the tracks, followed after :meth:`adapt`."""
         return self.tracks.adaptation
 
     @property
@@ -124,7 +125,7 @@ class SignalChain:
 
     @property
     def begun(self) -> bool:
-        """There was a sample since the start, or the machine turned at the reset before it."""
+        """True if there was a sample since the start, or the machine turned at the last reset."""
         return self.stages.estimator.tracker.started or self._pauses.turned > 0.0
 
     @property
@@ -139,24 +140,24 @@ class SignalChain:
 
     @property
     def searches(self) -> bool:
-        """Uneven sample times may still tell at what speed the machine turns."""
+        """True while uneven sample times may still determine the speed."""
         return self.stages.estimator.searches
 
     # Units.
 
     @property
     def sync_interval_s(self) -> float:
-        """Nominal interval of SYNC, seconds, used to check sample times. 0.0: not known."""
+        """Nominal interval of SYNC, seconds, to check sample times. 0.0: not known."""
         return self.times.sync_interval_s
 
     @sync_interval_s.setter
     def sync_interval_s(self, interval_s: float) -> None:
-        """Positions and speeds stay as they are; intervals in progress are counted in the new unit."""
+        """Keep positions and speeds; count intervals in progress in the new unit."""
         old, self.times.sync_interval_s = self.times.unit_s, interval_s
         self._unit_may_have_changed(old)
 
     def use_interval(self, sampling_s: float) -> None:
-        """The sampling interval where samples bring no time, seconds; 0.0: not known."""
+        """Set the sampling interval of samples without time, seconds; 0.0: not known."""
         if abs(sampling_s - self._untimed_unit_s) > SAME_INTERVAL * self._untimed_unit_s:
             self._untimed_unit_s = sampling_s
             self._follow_unit()
@@ -183,18 +184,17 @@ class SignalChain:
             self.stages.use_unit(unit_s)
 
     def forget_times(self) -> None:
-        """Another interface may send the sample times from now on, by another clock and at another rate."""
+        """Forget the sample times: another interface may send them, with another clock and rate."""
         self.times.reset()
         self.sync_interval_s = 0.0
 
     # Starts and pauses.
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
-        """Forget the position: the next good sample starts with this cycle count and speed.
+        """Forget the position: the next good sample has the cycle count ``cycles``.
 
-        ``cycles`` is the cycle count there, ``speed_cycles`` in cycles per sampling interval, default:
-        standstill. It must be right to less than half a cycle; the position is lost where the next
-        sample shows that it is not.
+        ``speed_cycles`` is the speed there, cycles per sampling interval, right to less than half a cycle
+        (default: standstill); the position is lost if the next sample shows that it is not.
         ValueError for a speed that is not finite or above 2**31 in size.
         """
         self.stages.restart(cycles, speed_cycles)
@@ -202,9 +202,9 @@ class SignalChain:
         self._forget_times_of_samples()
 
     def reset(self) -> None:
-        """:meth:`restart` at cycle count 0, as the module is reset: the machine may be turning.
+        """:meth:`restart` at cycle count 0, as the module is reset, on a machine that may be turning.
 
-        The next :meth:`resume` holds that against it: it does not start on a machine that may still turn.
+        If it may still turn at the next :meth:`resume`, the position is lost then.
         """
         self._pauses.reset()
         self._forget_times_of_samples()
@@ -212,10 +212,11 @@ class SignalChain:
     def resume(self, intervals: float = 0.0) -> None:
         """Go on after a pause of ``intervals`` of SYNC in which the machine moved less than half a cycle.
 
-        The position is lost if at its speed the machine could have left the cycle meanwhile, if it stood and
-        its next phase is another one, or if it was in doubt and not valid. A lost one starts again, at cycle
-        count 0, if the machine stood when it was lost and its phases did since; after :meth:`reset` unless
-        the machine turned at it, or the position was lost and its phases had not stood for STILL_SAMPLES.
+        The position is lost if the machine could have left the cycle meanwhile at its speed, if it stood and
+        its next phase differs, or if it was in doubt and not valid. A lost position starts again at cycle
+        count 0 if the machine stood when it was lost, and its phase has not changed since. After
+        :meth:`reset` it starts, too, unless the machine turned then, or the position was lost and
+        the phase had not stood for STILL_SAMPLES.
         """
         goes_on = self._pauses.resume(intervals * self._per_sync)
         self._forget_times_of_samples(keep_interval=goes_on)
@@ -225,24 +226,24 @@ class SignalChain:
         self._left_out = self._unused = 0.0
 
     def slips(self, intervals: float) -> bool:
-        """Within these intervals of SYNC the machine moves so far that its phase could mislead."""
+        """True if the machine moves SLIP_CYCLES or more within these ``intervals`` of SYNC."""
         return self._pauses.moves(intervals * self._per_sync, SLIP_CYCLES)
 
     def displaces(self, intervals: float) -> bool:
-        """A sample that was taken so many intervals of SYNC earlier or later is not a good one."""
+        """True if a sample is not good when it is taken ``intervals`` of SYNC early or late."""
         declared = self.stages.estimator.declared
         most = SLIP_CYCLES if declared.acceleration is None else declared.phase_error
         return self._pauses.moves(intervals * self._per_sync, most)
 
     def uncertain(self, intervals: float) -> Feedback | None:
-        """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
+        """Lose the position, except at standstill: ``intervals`` of SYNC or less may have passed uncounted.
 
-        None where that makes no difference: each phase is then less than half a cycle from the last.
+        None if it is kept: the next phase is then less than half a cycle from the last.
         """
         return self.lose() if self.slips(intervals) or self.stages.estimator.contradicted else None
 
     def lose(self) -> Feedback:
-        """The position is lost from now on: no cycles were counted."""
+        """Lose the position: cycles may have passed uncounted."""
         return self.stages.lose()
 
     # Samples.
@@ -256,15 +257,15 @@ class SignalChain:
     ) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises.
 
-        A sample with the time of one before comes too late: the same
-        Feedback object is returned, and nothing changes. Times must agree
-        with the receptions, of this sample at ``received_s`` and of the SYNC that it answers at
-        ``synced_s``, seconds, None where that is not known. One whose time fits nothing is a bad sample in
-        motion; see :class:`canfb.signal.sample_times.SampleTimes`. It ``counts`` but where another one
-        answered this SYNC. If ``elapsed`` is not finite and above 0, it is bad; a moving machine is lost.
+        For a sample with the time of an earlier one, the last Feedback object is returned and nothing
+        changes. ``received_s`` and ``synced_s`` are the receive times of the sample and of the SYNC that it
+        answers, seconds, None if not known, and check its own time
+        (:class:`canfb.signal.sample_times.SampleTimes`). If that fits nothing, the sample is bad in motion.
+        ``counts`` False: another sample has answered this SYNC. If ``elapsed`` is not finite and above 0,
+        the sample is bad, and the position of a moving machine is lost.
 
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
-        taken, in their order; the result is that of the newest, :attr:`between` has the others.
+        taken in order; the result is that of the newest, :attr:`between` has the others.
         """
         time_100ns, elapsed = sample.time_100ns, float(sample.elapsed)
         if not 0.0 < elapsed < inf:
@@ -278,7 +279,7 @@ class SignalChain:
         self._unit_may_have_changed(unit_s)
         self.crowded = passed == CROWDED
         if passed <= 0.0:
-            # One of a machine that creeps would be right, and its speed by the count wrong by far.
+            # While the machine creeps, the position would be right, but its speed by the count far off.
             may_rest = passed == SUSPECT or (passed == REPEATED and times.passed > 0.0)
             rests = (
                 may_rest
@@ -287,32 +288,32 @@ class SignalChain:
                 and not (self.lost or self.slips(times.off) or self._pauses.creeps)
             )
             self._left_out += elapsed * (self.crowded and counts)
-            if passed != SUSPECT and not rests:  # at rest a late one is used
+            if passed != SUSPECT and not rests:  # at rest even a late sample is used
                 return self._restarted(sample) if passed == RESTARTED or stages.last is None else stages.last
             times.waited += elapsed
             self._unused += elapsed * (not rests)
             return self.after(sample, elapsed, placed=rests)
-        if passed <= times.waited:  # what was waited for did not pass
+        if passed <= times.waited:  # less than the intervals already counted as missed
             return self._restarted(sample, least=inf)
         next_one = elapsed + times.waited < HOLE_INTERVALS
-        # Of several samples the earlier ones lie in one interval of SYNC, that of the times or another.
+        # The earlier samples of a SYNC are spread over its interval: times and count must agree on that.
         off = abs(passed - counted)
         placed = self._per_sync == 1 or off < HOLE_INTERVALS - 1.0 or not self.slips(off)
         if self.measures_intervals or not placed:
-            elapsed = passed - times.waited  # what was waited for is counted already
+            elapsed = passed - times.waited  # less the intervals already counted as missed
         times.waited = self._left_out = self._unused = 0.0
         return self.after(sample, elapsed, placed=placed, next_one=next_one)
 
     def withheld(self, feedback: Feedback) -> Feedback:
-        """The last sample, which was valid, as one that is not confirmed: nothing is learned from it."""
+        """``feedback``, which is valid, as not confirmed yet: not valid, and nothing is learned from it."""
         self.adaptation.drop()
         return feedback._replace(status=feedback.status & ~VALID | COASTING)
 
     def _restarted(self, sample: Sample, least: float = 1.0) -> Feedback:
-        """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
+        """Go on after a restart of the interface's clock, or after an unknown number of missed SYNCs.
 
-        Its length is unknown: in doubt behind refused samples a machine moves; one that creeps may have, as
-        the times say.
+        The position is lost if several motions are left, or samples of a doubt were not used. A machine that
+        creeps may have moved for as long as the times show.
         """
         intervals = max(least, self.times.passed) if self._pauses.creeps else 1.0
         lost = (
@@ -321,7 +322,7 @@ class SignalChain:
             else self.uncertain(intervals)
         )
         self.times.waited = self._left_out = self._unused = 0.0
-        if self.lost:  # what its times say of the speed begins here
+        if self.lost:  # the search for the speed by uneven times begins here
             self.stages.estimator.lose(LossCause.TIME, starts=False)
         return self.after(sample._replace(time_100ns=None), sample.elapsed) if lost is None else lost
 
@@ -333,10 +334,10 @@ class SignalChain:
         placed: bool = True,
         next_one: bool = False,
     ) -> Feedback:
-        """:meth:`step` for a sample of known time; its own time is not looked at.
+        """:meth:`step` for a sample ``elapsed`` intervals of SYNC after the last; its own time is not used.
 
-        ``elapsed`` intervals of SYNC after the one before; ``placed``: False if that is not known, which
-        makes it a bad sample; ``next_one``: by the count of SYNCs none was missed.
+        ``placed`` False: ``elapsed`` is not known, so the sample is bad. ``next_one``: no sample was missed,
+        by the count of SYNCs.
         """
         sine, cosine, _, invalid, coarse, _, pulse, time_100ns, _ = sample
         bad, timed = invalid or not placed, time_100ns is not None
@@ -345,14 +346,14 @@ class SignalChain:
         in_turn = elapsed == 1.0 or (timed and elapsed <= HOLE_INTERVALS)
         usual = in_turn and not bad and coarse is pulse is None
         extras = None if usual else Extras(sample, not placed, next_one)
-        # Numbers of numpy would make all that follows as coarse as they are, or overflow.
+        # Scalars of numpy would lower the precision of all that follows, or overflow.
         return self.stages.take(float(sine), float(cosine), elapsed, timed, extras)
 
     def _take_all(
         self, sample: Sample, elapsed: float, bad: bool, unplaced: bool, next_one: bool
     ) -> Feedback:
         stages, timed = self.stages, sample.time_100ns is not None
-        if stages.place is None:  # the interval that the pulse is a part of may be longer
+        if stages.place is None:  # the pulse is at a fraction of an interval whose begin was not used
             sample = sample._replace(zero_pulse=None)
         samples = [sample] if bad else in_order(sample, elapsed * self._per_sync, self._per_sync)
         next_one = next_one and len(samples) == self._per_sync
@@ -379,7 +380,7 @@ class SignalChain:
         return feedback
 
     def miss(self) -> Feedback:
-        """One interval of SYNC without a sample: the position coasts, flagged."""
+        """Pass one interval of SYNC without a sample: the position coasts, flagged."""
         self.times.waited += 1.0
         self.between = ()
         return self.stages.miss(float(self._per_sync))

@@ -1,5 +1,5 @@
-"""What makes a phase of the next two counts; it is renewed after a sample where the speed or a drift
-matters.
+"""From the counts of the next sample to its phase: conditioning and correction at the present speed and
+drift.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from canfb.signal.sample import Feedback
 
 
 class Conditioner:
-    """The correction in use, and what it is at the speed of the machine. Speeds are cycles per interval.
+    """The correction in use, at the speed of the machine. Speeds are in cycles per interval.
 
     correction      the active one
     coefficients    of the conditioning of the next sample
-    correct         the phase at a raw phase that is not NaN
-    front           what depends on the speed; None: nothing
-    lag_intervals   2002:07 in sampling intervals: the position is that of so much earlier
+    correct         from raw phase, not NaN, to phase
+    front           the part that depends on the speed; None: nothing does
+    lag_intervals   2002:07 in sampling intervals: by so much the position is old
     unit_s          the sampling interval, seconds; 0.0: not known
     """
 
@@ -85,19 +85,19 @@ class Conditioner:
 
     @property
     def depends_on_past(self) -> bool:
-        """Counts alone do not give the phase."""
+        """True if the phase depends on earlier samples, too."""
         return self.front is not None or self.adaptation.is_on
 
     @property
     def needs_unit(self) -> bool:
-        """The analog path depends on the speed in cycles per second, or the drift is followed by the hour."""
+        """True if the sampling interval in seconds is needed: for the analog path or the drift."""
         return self.depends_on_past or self.correction.conditioning.delay_s != 0.0
 
     def turned_rad(self, speed_cycles: float) -> float:
         return 0.0 if self.front is None else self.front.turned_rad(speed_cycles)
 
     def hertz(self, speed_cycles: float) -> float:
-        """This speed in cycles per second, 0.0 while nothing depends on it."""
+        """This speed in cycles per second; 0.0 if nothing depends on it."""
         return 0.0 if self.front is None else self.front.hertz(speed_cycles)
 
     def _renew(self) -> None:
@@ -105,7 +105,7 @@ class Conditioner:
         depends = not self.phases_keep or corners.are_there
         self.front = FrontEnd(conditioning, corners) if depends else None
         self.coefficients = conditioning.coefficients()
-        self._row = ()  # of the harmonics at the next sample; () for none
+        self._row = ()  # correction of the harmonics at the next sample; () for none
         table = self.correction.table
         self._table_phase: Callable[[float], float] = float if table is None else table.correct
         harmonics = self.front is not None and self.front.varies

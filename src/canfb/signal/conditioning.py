@@ -50,11 +50,11 @@ class Conditioning:
     harmonic_5_backward_real       real part of order -5 (2005:0D), -0.5..0.5
     harmonic_5_backward_imaginary  imaginary part of order -5 (2005:0E), -0.5..0.5
 
-    The harmonics are those of cosine + i sine, conditioned, at standstill, relative to the fundamental. They
-    count with a low-pass or a cosine delay only: :mod:`canfb.signal.front_end`.
+    The harmonics are those of conditioned cosine + i sine at standstill, relative to the fundamental. They
+    are used only with a low-pass or a cosine delay: :mod:`canfb.signal.front_end`.
 
-    :meth:`apply` is what holds at standstill; :mod:`canfb.signal.front_end` has the speed. ``delay_s``
-    leaves the tracks as they are: what is published is the position by so much later.
+    :meth:`apply` holds at standstill, :mod:`canfb.signal.front_end` at speed. ``delay_s`` does not change the
+    tracks: the published position is extrapolated by it.
     """
 
     sine_offset_counts: float = 0.0
@@ -105,12 +105,12 @@ class Conditioning:
 
     @property
     def harmonics(self) -> tuple[complex, ...]:
-        """Of the orders :data:`HARMONIC_ORDERS`, relative to the fundamental."""
+        """Harmonics of :data:`HARMONIC_ORDERS`, relative to the fundamental."""
         parts = self.values[-2 * len(HARMONIC_ORDERS) :]
         return tuple(complex(*parts[n : n + 2]) for n in range(0, len(parts), 2))
 
     def with_harmonics(self, harmonics: Sequence[complex]) -> Conditioning:
-        """The same with other ones."""
+        """The same with these ``harmonics``."""
         parts = [part for one in harmonics for part in (float(one.real), float(one.imag))]
         return Conditioning(*self.values[: -len(parts)], *parts)
 

@@ -1,4 +1,4 @@
-"""The individual correction: phase as a function of raw phase (paper, section 2), and of counts."""
+"""The correction of one encoder: phase as a function of raw phase (paper, section 2), and of counts."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class CorrectionTable:
         self._n = len(single)
         self._bytes = single.tobytes()
         first = single.astype(np.float64)
-        # Raw phase 1.0 is raw phase 0.0, so entry 0 stands at the end once more.
+        # Raw phase 1.0 is raw phase 0.0: entry 0 is repeated at the end.
         self._first: FloatArray = np.append(first, first[0])
         self._slope: FloatArray = np.append(np.diff(first, append=first[0] + 1.0), 0.0)
         self.conditioning: Conditioning | None = None
-        """With which a calibration made it; None: not known. No part of the bytes."""
-        self._lines: Lines = ()  # made for the first sample that needs them: an upload checks a table only
+        """The conditioning with which a calibration made the table; None: not known. Not in the bytes."""
+        self._lines: Lines = ()  # made for the first sample: an upload only checks a table
 
     @classmethod
     def identity(cls, n: int = 256) -> Self:
@@ -61,7 +61,7 @@ class CorrectionTable:
         return cls(np.frombuffer(bytes(data), dtype="<f4"))
 
     def made_for(self, conditioning: Conditioning) -> Self:
-        """The same table, that of a calibration with this conditioning."""
+        """The same table as one that a calibration made with this ``conditioning``."""
         made = copy.copy(self)
         made.conditioning = conditioning
         return made
@@ -109,7 +109,7 @@ class CorrectionTable:
             return self.correct_array(raws % 1.0 % 1.0)
 
     def _make_lines(self) -> Lines:
-        """For one sample at a time: entry and slope from there, cycles; N + 1 of them, plain floats."""
+        # For one sample at a time: N + 1 pairs of entry and slope, cycles, as plain floats.
         self._lines = tuple(zip(self._first.tolist(), self._slope.tolist(), strict=True))
         return self._lines
 
@@ -145,7 +145,7 @@ class CorrectionTable:
         phase = self._slope.take(index, mode="clip", out=whole)
         phase *= place
         phase += self._first.take(index, mode="clip", out=place)
-        if self._first[0] < 0.0:  # then a phase just below 0 may become 1.0, which is 0.0
+        if self._first[0] < 0.0:  # a phase just below 0 may be rounded to 1.0, which is 0.0
             wrap_block(phase, scratch)
         np.subtract(phase, np.floor(phase, out=place), out=out)
 
@@ -163,7 +163,7 @@ class Correction:
 
     @property
     def crc32(self) -> int:
-        """As object 2020:04 has it: 0 for the identity."""
+        """CRC-32 of the table as in object 2020:04: 0 for the identity."""
         return 0 if self.table is None else self.table.crc32
 
 
@@ -179,11 +179,11 @@ def check_table(table: object) -> None:
 
 
 class Calibrated(Protocol):
-    """What has table and conditioning: :class:`canfb.Calibration`."""
+    """An object with table and conditioning, as :class:`canfb.Calibration`."""
 
     @property
     def correction(self) -> Correction:
-        """Both."""
+        """Table and conditioning."""
 
 
 AnyTable = CorrectionTable | Correction | Calibrated | None
@@ -192,8 +192,8 @@ AnyTable = CorrectionTable | Correction | Calibrated | None
 def correction_of(table: AnyTable, conditioning: Conditioning | None = None) -> Correction:
     """Table and conditioning to compute with; ``conditioning`` None: not given.
 
-    TypeError for what is neither a table nor a calibration. ValueError where the conditioning of a
-    calibration is missing, with which its table alone is wrong, or another one is given beside it.
+    TypeError unless ``table`` is a table, a calibration or None. ValueError if the table of a calibration
+    comes without its conditioning, or a calibration with another one.
     """
     found = table if isinstance(table, Correction) else getattr(table, "correction", None)
     if not isinstance(found, Correction):

@@ -1,4 +1,4 @@
-"""Limits of the acceleration that eq. 9 allows (paper, eq. 10 and 12), and what follows from what the user
+"""Limits of acceleration and speed that eq. 9 allows (paper, eq. 10 and 12), and the bounds that the user
 declares of machine, encoder and bus.
 """
 
@@ -12,14 +12,14 @@ from canfb.checks import LARGEST
 from canfb.signal.bounded_motion import ORDER, BoundedMotion
 from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
 
-RPM = 60.0 / (2.0 * math.pi)  # of a speed in rad/s
+RPM = 60.0 / (2.0 * math.pi)  # rpm per rad/s
 
 
 def max_acceleration(
     cycles_per_revolution: float, sample_rate_hz: float, residual_limit: float = 0.5
 ) -> float:
-    """Largest acceleration in rad/s^2 that eq. 9 follows, pi/N fs^2 (eq. 10) at the limit 1/2, in
-    proportion to ``residual_limit`` (cycles, 0 < limit <= 0.5).
+    """Largest acceleration in rad/s^2 that eq. 9 follows: 2 pi/N fs^2 (eq. 10) times ``residual_limit``
+    (cycles, 0 < limit <= 0.5).
 
     ``cycles_per_revolution`` and ``sample_rate_hz`` are positive. ValueError otherwise.
     """
@@ -29,7 +29,7 @@ def max_acceleration(
 
 
 def max_speed(cycles_per_revolution: float, jitter_s: float, residual_limit: float = 1.0 / 3.0) -> float:
-    """Largest speed in rad/s that is followed without sample times if SYNC jitters by ``jitter_s``.
+    """Largest speed in rad/s that eq. 9 follows without sample times if SYNC jitters by ``jitter_s``.
 
     The second difference of eq. 9 multiplies an error v j by up to four: 4 v j < ``residual_limit``
     (cycles, 0 < limit <= 0.5; minus the acceleration). ``cycles_per_revolution`` and
@@ -45,11 +45,11 @@ def _check_positive(**values: float) -> None:
             raise ValueError(f"{name} must be positive, not {value!r}")
 
 
-# The default of 2010:0C: the error of the raw phase without a table. Eq. 9 weighs three phases with 1, 2, 1:
-# with a margin of four times this error a narrowed limit holds before the reference measurement as well.
+# The default of 2010:0C is the error of the raw phase without a table, so it holds before the reference
+# measurement, too. Eq. 9 weighs three phases by 1, 2, 1: a narrowed limit has a margin of four times this.
 PHASE_ERROR_CYCLES = 0.0125
-MOST_PHASE_ERROR_CYCLES = 0.0625  # of 2010:0C: a sixteenth of a cycle, more is no encoder
-# The least that is written after a measurement: temperature and age take half of what a table has removed.
+MOST_PHASE_ERROR_CYCLES = 0.0625  # of 2010:0C: 1/16 cycle; no encoder is worse
+# The least value written after a measurement: with temperature and age, half of what a table removed returns.
 CALIBRATED_PHASE_ERROR_CYCLES = 0.005
 
 
@@ -61,10 +61,11 @@ def narrowed_residual_limit(
     margin_cycles: float = math.inf,
     phase_error_cycles: float = PHASE_ERROR_CYCLES,
 ) -> float:
-    """Residual limit in cycles when the machine's largest acceleration is known (2010:02): a N/(2 pi) T^2,
-    and four times the largest error of a phase (2010:0C) or ``margin_cycles``; at most ``residual_limit``.
+    """Residual limit in cycles if the largest acceleration a of the machine is known (2010:02):
+    a N/(2 pi) T^2 plus the smaller of ``margin_cycles`` and four phase errors (2010:0C), at most
+    ``residual_limit``.
 
-    ``max_acceleration_rad_s2`` = 0: not known. ``interval_s`` is the sampling interval T.
+    ``max_acceleration_rad_s2`` 0: not known. ``interval_s`` is the sampling interval T.
     """
     if max_acceleration_rad_s2 <= 0.0:
         return residual_limit
@@ -79,15 +80,15 @@ def cycles_per_interval_squared(
 
 
 MOST_IN_A_ROW = 255
-SHARP = 1.0 / 6.0  # cycle: beyond it, a single missed sample may lose the position (docs/supervision.md)
+SHARP = 1.0 / 6.0  # cycles: above it, one missed sample may lose the position (docs/supervision.md)
 ROUNDING = 1e-9
 
 
 def samples_without_harm(cycles: float) -> int:
-    """The largest number of samples in a row, 0..255, that cannot falsify the count unseen.
+    """The largest number of bad samples in a row, 0..255, that cannot falsify the count unnoticed.
 
-    ``cycles`` is L + a, the residual limit and the acceleration in cycles per interval squared
-    (docs/supervision.md). Between motions with exact phases there is as much room.
+    ``cycles`` is L + a, residual limit plus acceleration in cycles per interval squared
+    (docs/supervision.md): as for missed samples between motions with exact phases.
     """
     return kept_samples(cycles, 0.0, 0.0)
 
@@ -98,7 +99,7 @@ def kept_samples(
     phase_error_cycles: float,
     most: int = MOST_IN_A_ROW,
 ) -> int:
-    """Missed or flagged samples in a row, 0..``most``, after which one motion is left, for any phases.
+    """Missed or flagged samples in a row, 0..``most``, after which only one motion is left, for any phases.
 
     ``accepted_cycles`` is the largest acceleration that the estimator follows, ``motion_cycles`` that of
     the machine, cycles per interval^2 (docs/supervision.md).
@@ -116,27 +117,27 @@ def _between_motions(missed: int, total_cycles: float, phase_error_cycles: float
 
 
 DOUBT_ACCELERATION = (
-    0.1  # default of 2010:0B, cycles per interval^2: one to three missed samples are unique up to it
+    0.1  # default of 2010:0B, cycles per interval^2: up to it, one to three missed samples leave one motion
 )
 COAST_SAMPLES = 3  # default of 2010:03
-MOST_BAD_SAMPLES = 8  # 2010:0A; what the estimator remembers is enough for them
-MOST_BY_DEFAULT = 3  # each one more multiplies what a contradiction costs
+MOST_BAD_SAMPLES = 8  # largest 2010:0A, for which the estimator remembers enough samples
+MOST_BY_DEFAULT = 3  # each one more multiplies the computing time of a contradiction
 
 
 @dataclass(frozen=True, kw_only=True)
 class Declared:
-    """Bounds while which hold a valid position is right. Intervals are those from sample to sample.
+    """Declared bounds: while they hold, a valid position is right. Intervals are from sample to sample.
 
-    residual_limit      of usual samples, cycles; in force, so narrowed by what is declared below
+    residual_limit      of usual samples, cycles; as narrowed by the bounds below
     widest_limit        2010:01, cycles: of the first step after a start; None: ``residual_limit``
     acceleration        largest, cycles per interval^2; None: not known
-    acceleration_waits  it is declared, but not yet in which interval: the second sample shows it
+    acceleration_waits  it is declared, but the interval is not known before the second sample
     phase_error         largest of a good sample, cycles
     instant_error       largest of a sampling instant, intervals
     bad                 m: samples in a row that may be bad unnoticed; 0: as many as cannot do harm
-    doubt_acceleration  assumed in doubt if ``acceleration`` is not known; 0: none is
+    doubt_acceleration  assumed in doubt if ``acceleration`` is not known; 0: none
     coast_samples       intervals of SYNC without a good sample until the position is lost
-    samples_per_sync    in one of SYNC: all other intervals are those from sample to sample
+    samples_per_sync    number of samples in an interval of SYNC
     """
 
     residual_limit: float = RESIDUAL_LIMIT
@@ -156,7 +157,7 @@ class Declared:
 
     @property
     def start_error(self) -> float:
-        """The part of :attr:`widest_limit` that no acceleration and no phase error explains, cycles."""
+        """The part of :attr:`widest_limit` beyond acceleration and phase errors, cycles."""
         return max(0.0, (self.widest_limit or 0.0) - self.residual_limit)
 
     @property
@@ -165,10 +166,10 @@ class Declared:
 
     @cached_property
     def bad_samples(self) -> int:
-        """m: as declared, or as many as do no harm at twice the bound; at least a SYNC's."""
+        """m: as declared, or as many as do no harm at twice the bound, at least those of a SYNC."""
         if self.bad:
             return self.bad
-        # They have one time, and come together.
+        # The samples of a SYNC come in one frame with one time, and are bad together.
         return max(self.samples_per_sync, min(samples_without_harm(2.0 * self.followed), MOST_BY_DEFAULT))
 
     @property
@@ -177,7 +178,7 @@ class Declared:
         return self.in_doubt.largest
 
     def kept_samples(self, motion: float | None = None) -> int:
-        """Missed or flagged samples in a row after which the position is certain, 0..255.
+        """Missed or flagged samples in a row after which the position is still certain, 0..255.
 
         ``motion`` is the largest acceleration of the machine, None: :attr:`followed`.
         """

@@ -1,7 +1,7 @@
-"""The noise of the residual, measured while the machine moves (2011:0B), and what of it a limit may use.
+"""The noise of the residual, measured while the machine moves (2011:0B), and the part a limit may use.
 
-The difference of two successive residuals holds little of the motion; its weights of the phases are 1, 3,
-3, 1. The median of a block stands for its rms: single jerks count for nothing.
+The difference of two successive residuals contains little of the motion, and weighs four phases by 1, 3, 3,
+1. The rms is derived from the median of a block, which single jerks do not change.
 """
 
 from __future__ import annotations
@@ -15,24 +15,25 @@ from canfb.signal.sample import Feedback
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, COASTING, FROZEN, LOST, MISSED, RESIDUAL, VALID
 
 BLOCK_SAMPLES = 64
-MEDIAN_OF_RMS = 0.6745  # of the size of a normal deviate
-# Sums of the squared weights: of the residual, and of the difference of two residuals.
+MEDIAN_OF_RMS = 0.6745  # median of |x| over rms, for a normal distribution
+# Sums of the squared weights: of a residual (1, 2, 1), and of the difference of two residuals.
 RESIDUAL_WEIGHTS, DIFFERENCE_WEIGHTS = 6.0, 20.0
-# The errors of all phases show in a block that has phases in these eighths of the cycle, and such steps.
+# A block shows the errors of all phases if it has phases in so many eighths of the cycle, and a speed that is
+# so far, in cycles per interval, from whole cycles.
 EIGHTHS = 5
 LEAST_STEP = 0.1
-FEWEST_BLOCKS = 4  # before a limit uses the noise
-REFERENCE_BLOCKS = 32  # the first ones are the reference
+FEWEST_BLOCKS = 4  # blocks before a limit uses the noise
+REFERENCE_BLOCKS = 32  # the first blocks, which are the reference; and the recent ones
 MOST_GROWTH = 2.0  # times the reference
 BAD = AMPLITUDE | CLIPPED | COASTING | FROZEN | LOST | MISSED | RESIDUAL
 
 
 class ResidualNoise:
-    """Measures in blocks of 64 successive valid samples, 1 of each 4 blocks, of a machine that moves.
+    """Measures in blocks of 64 successive valid samples of a moving machine, one block in four.
 
-    ``rms_cycles`` is the rms of the residual by the last block, cycles, NaN before the first one.
+    ``rms_cycles`` is the rms of the residual in the last block, cycles, NaN before the first one.
     ``usable_cycles``: the largest of the last 32 blocks, at most twice that of the first 32, so that a
-    fault that grows slowly moves a limit by a factor of two at most; NaN before four blocks.
+    slowly growing fault moves a limit by at most a factor of two; NaN before four blocks.
     """
 
     __slots__ = ("_block", "_recent", "_reference", "due", "rms_cycles")
@@ -45,7 +46,7 @@ class ResidualNoise:
         self._reference: list[float] = []
         self._recent: deque[float] = deque(maxlen=REFERENCE_BLOCKS)
         self.due = 0
-        """The number of the sample with which the next block begins: none before it need be shown."""
+        """Number of the sample at which the next block begins: :meth:`take` needs none before it."""
         self._block: list[Feedback] = []
 
     @property

@@ -1,5 +1,5 @@
-"""Checks of every sample before it may move the position: its own limits, and a converter that repeats
-itself although the machine moves.
+"""Checks of each sample before it may move the position: the limits of one sample, and a converter that
+repeats its values while the machine moves.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SECOND_POSITION: Final = int(StatusBit.SECOND_POSITION)
 # After a fault the limits are narrower by this factor until a sample keeps them.
 AMPLITUDE_HYSTERESIS = 1.0 / 32.0
 CLIPPING_HYSTERESIS_COUNTS = 2
-LEAST_LEFT = 0.25  # of the amplitude by a low-pass: at four times its corner frequency
+LEAST_LEFT = 0.25  # part of the amplitude that a low-pass leaves at four times its corner frequency
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class SampleLimits:
     def bounds(
         self, after_fault: bool = False, amplitude_known: bool = True
     ) -> tuple[float, float, float, float]:
-        """Lowest and highest counts that are clipped, smallest and largest amplitude that are good.
+        """The counts that are clipped at either end, smallest and largest good amplitude.
 
-        ``after_fault``: with the hysteresis. ``amplitude_known`` False: what the analog path leaves of the
-        amplitude is not known, and so low is lower.
+        ``after_fault``: with the hysteresis. ``amplitude_known`` False: the attenuation by the analog path is
+        not known, so the smallest amplitude is lower.
         """
         full, low, high = self.full_scale_counts, self.amplitude_low_counts, self.amplitude_high_counts
         if not amplitude_known:
@@ -60,7 +60,7 @@ class SampleLimits:
         if not after_fault:
             return -full, full - 1, low, high
         margin = min(CLIPPING_HYSTERESIS_COUNTS, full // 64)
-        most = (high - low) / 4.0  # a narrow window stays open
+        most = (high - low) / 4.0  # so that a narrow window stays open
         return (
             margin - full,
             full - 1 - margin,
@@ -82,15 +82,15 @@ class Supervision:
         self.amplitude_known(True)
 
     def amplitude_known(self, known: bool) -> None:
-        """False: the speed, and so what the analog path leaves of the amplitude, is not known."""
+        """Set whether the speed, and so the attenuation by the analog path, is known."""
         self._known = known
-        # Those in force, for the hot path to compare with.
+        # The bounds in force, as plain values for the hot path.
         self.bounds = self._limits.bounds(self.after_fault, known)
 
     def faults(self, sine: float, cosine: float, amplitude: float) -> int:
-        """Status bits AMPLITUDE and CLIPPED of a sample: raw counts, conditioned amplitude.
+        """Status bits AMPLITUDE and CLIPPED of a sample: raw counts, conditioned ``amplitude``.
 
-        A value that is not a number is a fault of the amplitude.
+        NaN is a fault of the amplitude.
         """
         lowest, highest, smallest, largest = self.bounds
         bits = 0
@@ -107,14 +107,14 @@ class Supervision:
 def repeats(
     sine: AnyArray, cosine: AnyArray, before: tuple[float, float], out: BoolArray
 ) -> BoolArray | None:
-    """Which pairs of counts, of one or more, are those of the sample before; in ``out``. None: not one.
+    """True for each of 1 or more pairs that equals the pair before it, in ``out``; None: for none.
 
     ``before`` is the pair before the first one.
     """
     equal = out[: len(sine)]
     equal[0] = sine[0] == before[0]
     np.equal(sine[1:], sine[:-1], out=equal[1:])
-    if not equal.any():  # then the other track need not be looked at
+    if not equal.any():  # the cosine cannot change that
         return None
     equal[0] &= cosine[0] == before[1]
     equal[1:] &= cosine[1:] == cosine[:-1]
@@ -122,11 +122,11 @@ def repeats(
 
 
 class FrozenInput:
-    """Counts repeated pairs of counts.
+    """Finds a frozen input by repeated pairs of counts.
 
-    A machine slower than the residual limit may have stopped. A faster one cannot, but whole cycles per
-    sample show the same phase each time, and only noise shows that the converter works: ``frozen_samples``
-    (2010:04) successive repeats, 0: off.
+    A machine slower than the residual limit may have stopped. A faster one cannot; but at whole cycles per
+    sample all phases are equal, and only noise shows that the converter works. So ``frozen_samples``
+    (2010:04) successive repeats are required; 0: off.
     """
 
     __slots__ = ("frozen_samples", "repeats", "residual_limit_cycles", "speed_cycles")
@@ -136,10 +136,10 @@ class FrozenInput:
         self.residual_limit_cycles = residual_limit_cycles
         self.repeats = 0
         self.speed_cycles = 0.0
-        """Before the first repeat, cycles per interval."""
+        """Speed before the first repeat, cycles per interval."""
 
     def take(self, repeated: bool) -> bool:
-        """A sample, with the counts of the one before if ``repeated``; True if the input is frozen."""
+        """Take a sample; ``repeated``: it equals the one before. True if the input is frozen."""
         if not repeated:
             self.repeats = 0
             return False
@@ -152,9 +152,9 @@ class FrozenInput:
         return self.repeats > 0 and slow
 
     def before_row(self, equal: BoolArray) -> int:
-        """Samples before the first row of repeats that may freeze: long enough, or with no end yet.
+        """Number of samples before the first row of repeats that is long enough, or not over yet.
 
-        ``equal``: which samples are equal to the one before; the first one begins a row.
+        ``equal``: whether each sample equals the one before; the first one begins a row.
         """
         changes = np.flatnonzero(np.diff(equal, prepend=False, append=False))
         begins, ends = changes[::2], changes[1::2]

@@ -1,10 +1,9 @@
 """Cycle count by second-order prediction (paper, eq. 9) with error detection (eq. 12).
 
-i(k) = 2 i(k-1) - i(k-2) + round(2 p(k-1) - p(k-2) - p(k)) is exact over any range. Between samples that
-are not one interval apart the last speed is carried over the elapsed intervals.
+i(k) = 2 i(k-1) - i(k-2) + round(2 p(k-1) - p(k-2) - p(k)) is exact over any range. At uneven intervals, the
+last speed is extrapolated over the elapsed time.
 
-Over arrays it is bit for bit the same. The cycle count is the double cumulative sum of the turns between
-the samples, in integers.
+Over arrays the result is the same bit for bit: the cycle count is a double cumulative sum of integers.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from canfb.signal.blocks import Scratch, blocks
 from canfb.signal.phase import ArrayLike, BoolArray, FloatArray, IntArray, real_array
 
 RESIDUAL_LIMIT = 1.0 / 3.0
-NOT_USUAL = -1.0  # in place of a residual
-MOST_SPEED_CYCLES = float(1 << 31)  # at a start: beyond it a float holds too little of the phase
+NOT_USUAL = -1.0  # in place of a residual, from Tracker.advance
+MOST_SPEED_CYCLES = float(1 << 31)  # at a start; a larger float leaves too few bits for the phase
 
 
 class Track(NamedTuple):
@@ -43,10 +42,10 @@ class Tracker:
     """The recursion of eq. 9, one sample at a time.
 
     It starts at cycle count 0 with the first phase and ``speed_cycles``, cycles per sample, at most 2**31 in
-    size. The first step differs from that by less than half a cycle; a start at another speed is wrong by
-    whole cycles per sample, and eq. 12 shows it at the second sample at most. From then on only the change of
-    speed is limited (eq. 10). ``residual_limit`` in cycles, 0 < limit <= 0.5 (eq. 12; the paper: 1/3).
-    ValueError otherwise.
+    size. The true speed must be within half a cycle per sample of that: else the speed stays wrong by whole
+    cycles per sample, which eq. 12 can show at the second sample only. From then on only the change of speed
+    is limited (eq. 10). ``residual_limit`` in cycles, 0 < limit <= 0.5 (eq. 12; the paper: 1/3). ValueError
+    otherwise.
     """
 
     __slots__ = (
@@ -67,7 +66,7 @@ class Tracker:
         self.restart(0, speed_cycles)
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
-        """Forget the phase; the next one starts with this cycle count and speed (cycles per sample).
+        """Forget the phase; the next one starts at this cycle count and speed (cycles per sample).
         ValueError for a speed that is not finite or above 2**31 in size.
         """
         self._start_speed = check_speed(speed_cycles)
@@ -77,7 +76,7 @@ class Tracker:
         self._phase = 0.0  # p(k-1)
         self._phase_before = 0.0  # p(k-2)
         self.elapsed = 1.0  # intervals between samples k-2 and k-1
-        self.gap = 0.0  # intervals since sample k-1 without a phase that was counted; once there was one
+        self.gap = 0.0  # intervals since sample k-1 without a phase that was counted
         self.started = False
         """True once there was a phase."""
         self.step_cycles = 0.0
@@ -90,7 +89,7 @@ class Tracker:
         self._find_speed()
 
     def rescale(self, factor: float) -> None:
-        """Count intervals in another unit, ``factor`` times as many."""
+        """Count intervals in a unit that is shorter by ``factor``."""
         self.elapsed *= factor
         self.gap *= factor
         self._find_speed()
@@ -103,7 +102,7 @@ class Tracker:
 
     @property
     def is_steady(self) -> bool:
-        """The next sample is one interval after two that were one interval apart."""
+        """True if the last two samples are one interval apart, without a gap after them."""
         return self.started and self.gap == 0.0 and self.elapsed == 1.0
 
     def set_places(self, before: Track, last: Track, elapsed: float = 1.0) -> None:
@@ -114,7 +113,7 @@ class Tracker:
         self._find_speed()
 
     def go_on(self, result: TrackResult, stop: int) -> None:
-        """Go on behind the samples of ``result`` up to ``stop``, one at least, counted one interval apart."""
+        """Go on after ``result[:stop]``, ``stop`` > 0: samples that were counted one interval apart."""
         new = range(max(0, stop - 2), stop)
         counted = (Track(int(result.cycles[at]), float(result.phase[at]), 0.0, True) for at in new)
         *_, before, last = self.places[1], *counted
@@ -129,9 +128,9 @@ class Tracker:
     def update(self, phase: float, elapsed: float = 1.0) -> Track:
         """Take one phase, ``elapsed`` > 0 sampling intervals after the one before, and track it.
 
-        ``phase`` in cycles, 0 <= phase < 1; NaN: a sample without one, the position is then the predicted
-        one, not ok. Raises ValueError outside these ranges. The count follows the phase even if the
-        residual is over the limit, as in the paper; the sample is then not ok.
+        ``phase`` in cycles, 0 <= phase < 1. NaN: the sample has no phase; the result is the predicted
+        position, not ok. As in the paper, the count follows the phase even if the residual is over the limit;
+        the sample is then not ok. ValueError outside these ranges.
         """
         if not 0.0 <= phase < 1.0 and phase == phase:
             raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phase!r}")
@@ -145,7 +144,7 @@ class Tracker:
         return track
 
     def look(self, phase: float, elapsed: float = 1.0) -> Track:
-        """Result of :meth:`update` for this phase, without a change. Arguments unchecked."""
+        """The result of :meth:`update`, without a change of state. Arguments are not checked."""
         if phase != phase:
             return self.predict(elapsed)
         if not self.started:
@@ -163,10 +162,9 @@ class Tracker:
         return Track(cycles + turns, phase, residual, residual < self.residual_limit)
 
     def advance(self, phase: float, elapsed: float, limit: float) -> float:
-        """:meth:`look` and :meth:`accept` in one, for a sample whose residual is below ``limit``.
+        """:meth:`look` and :meth:`accept` in one, if the residual is below ``limit``: returns the residual.
 
-        Only for a tracker that has started, and not behind a gap. The result is its residual; NOT_USUAL, and
-        nothing changed, for any other.
+        Otherwise returns NOT_USUAL and changes nothing. Only after a start, and not after a gap.
         """
         before = self._phase
         if elapsed == self.elapsed:
@@ -200,7 +198,7 @@ class Tracker:
         self._find_speed()
 
     def skip(self, elapsed: float = 1.0) -> None:
-        """Step over a sample without a usable phase; the next prediction spans the gap."""
+        """Pass a sample without a usable phase; the next prediction spans the gap."""
         self.gap += elapsed
 
     def predict(self, elapsed: float = 1.0) -> Track:
@@ -235,13 +233,13 @@ class TrackResult:
 
     @classmethod
     def empty(cls, samples: int) -> TrackResult:
-        """Arrays of this length, any content."""
+        """Arrays of this length, not initialised."""
         return cls(
             np.empty(samples, np.int64), np.empty(samples), np.empty(samples), np.empty(samples, np.bool_)
         )
 
     def part(self, samples: slice) -> TrackResult:
-        """The same arrays, of these samples only."""
+        """Views of these samples."""
         return TrackResult(
             self.cycles[samples], self.phase[samples], self.residual[samples], self.ok[samples]
         )
@@ -278,8 +276,8 @@ def track(phase: ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles
     """:class:`Tracker` over an array of phases, vectorised; bit for bit the same result.
 
     ``phase`` has shape (n,), cycles, 0 <= phase < 1, NaN where a sample has no phase. ``speed_cycles`` is
-    the speed at the first phase, cycles per sample. ``ok`` says no more than eq. 12; :func:`canfb.process`
-    says where the position is certain. ValueError for anything else.
+    the speed at the first phase, cycles per sample. ``ok`` is eq. 12 alone; :func:`canfb.process`
+    shows where the position is certain. ValueError for anything else.
     """
     phases = real_array("phase", phase)
     if phases.ndim != 1:
@@ -308,8 +306,9 @@ def track(phase: ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles
 
 
 def count_run(tracker: Tracker, run: TrackResult, scratch: Scratch) -> None:
-    """Samples that all have a phase, one interval apart: an integer cumulative sum. For a steady ``tracker``,
-    which stays before them.
+    """Count samples one interval apart, all with a phase, by an integer cumulative sum.
+
+    ``tracker`` must be steady, and is not changed.
     """
     before, last, _ = tracker.places
     phase, residual = run.phase, run.residual
