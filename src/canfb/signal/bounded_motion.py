@@ -85,8 +85,8 @@ class BoundedMotion:
         if not self.instant_error or len(spots) < 2:
             return self.phase_error
         before, last = spots[-2:]
-        way = (last.cycles - before.cycles) + (last.phase - before.phase)
-        return self.phase_error + self.instant_error * abs(way / (last.time - before.time))
+        displacement = (last.cycles - before.cycles) + (last.phase - before.phase)
+        return self.phase_error + self.instant_error * abs(displacement / (last.time - before.time))
 
     def window(self, spots: tuple[Spot, ...], time: float) -> Window:
         """Where a sample at ``time`` is after these, two at least, the newest last."""

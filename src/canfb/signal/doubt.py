@@ -1,15 +1,19 @@
-"""Every motion that the machine can have made since a sample was missing, flagged or contradicted.
+"""All motions that the machine can have made since a sample was missing or flagged, or contradicted.
 
 The idea is that of integer ambiguity resolution (GNSS), with bounds in place of probabilities. A
 :class:`Candidate` is one sequence of cycle counts; each sample gives it one successor for each count in its
-window (:mod:`canfb.signal.bounded_motion`). Where all that are left agree, the position is right as long as
+window (:mod:`canfb.signal.bounded_motion`). If all candidates left agree, the position is right as long as
 the declaration holds (docs/supervision.md).
 
-A sample that no candidate can take contradicts. Up to m neighbouring samples may be bad unnoticed, and are
-over the limit r samples after the last of them at the latest: from each sample K - (m + r - 1) .. K on m are
-left out, and the search starts again. What is left has to pass three tests, which can take validity away and
-never give it: chance (a window of width w takes a random phase with probability w, M residuals within w by
-themselves M w^(M-1)), a standing input, and a jump.
+A sample K contradicts if no candidate can take it. Up to m neighbouring samples may be bad unnoticed; the
+residual exceeds the limit at most r samples after them. So the search starts again from each of the samples
+K - (m + r - 1) .. K, and leaves out m samples there. The candidate left must pass three tests, which may
+refuse a position, but never choose one:
+
+- chance: a window of width w takes a random phase with probability w; M residuals have a spread of at most
+  w with probability M w^(M-1),
+- a frozen input: equal phases after a motion,
+- a jump: all samples fit the motion before or the one after, so none was bad.
 """
 
 from __future__ import annotations
@@ -22,25 +26,25 @@ from canfb.objects import LossCause
 from canfb.signal.bounded_motion import HOLE_INTERVALS, ORDER, BoundedMotion, Spot, Window
 from canfb.signal.speeds import apart
 
-FALSE_ACCEPTANCE = 1e-5  # probability per decision that random phases pass for a machine
+FALSE_ACCEPTANCE = 1e-5  # probability, per decision, that random phases are accepted
 MOST_CANDIDATES = 256
-MOST_ROWS = 2  # of bad samples within one doubt; a third contradiction shows that nothing can be built on
-MOST_INTERVALS = 32.0  # of doubt with samples: many times what decides (at most some ten samples)
+MOST_ROWS = 2  # rows of bad samples within one doubt; a third contradiction loses the position
+MOST_INTERVALS = 32.0  # intervals with samples until a doubt loses the position; some ten samples decide
 SAME_TIME = 1e-9  # intervals: rounding
-SPOTS_KEPT = 8  # of a candidate: what a junction and the windows of short intervals need
+SPOTS_KEPT = 8  # samples that a candidate keeps, for junctions and the windows of short intervals
 NO_RESIDUALS = (0, math.inf, -math.inf)
 
 
 class Candidate(NamedTuple):
-    """One motion: what it makes of each sample.
+    """One motion: the samples that it uses, and the cycle count of each.
 
     time       of its last entry, intervals
-    spots      the samples before the hole, and those of the run behind it, oldest first; the last ones
-    run        samples since the last hole
-    leaves     samples that are still to be left out
-    chance     expected number of random phases that would have got so far
+    spots      the last samples, oldest first: before the last hole, and the run after it
+    run        number of samples after the last hole
+    leaves     number of samples still to be left out
+    chance     expected number of such candidates if the phases were random
     joined     the same, up to the end of the junction
-    residuals  of the samples behind the junction: how many, smallest, largest, cycles
+    residuals  of the samples after the junction: number, smallest, largest, cycles
     """
 
     time: float
@@ -70,7 +74,7 @@ class Candidate(NamedTuple):
         return min(self.chance, self.joined * spread)
 
     def over_hole(self, elapsed: float, left_out: bool = False) -> Candidate:
-        """With an entry that it does not use, ``elapsed`` intervals later."""
+        """The candidate after an entry that it does not use, ``elapsed`` intervals later."""
         return self._replace(
             time=self.time + elapsed,
             run=0,
@@ -80,14 +84,14 @@ class Candidate(NamedTuple):
         )
 
     def window(self, time: float, motion: BoundedMotion) -> Window:
-        """Where its next sample can be."""
+        """Where a sample at ``time`` can be."""
         run = self.run_spots
         if self.run >= ORDER:
             return motion.window(run, time)
         return motion.beyond(self.spots[: len(self.spots) - len(run)], run, time)
 
     def successors(self, phase: float, elapsed: float, motion: BoundedMotion) -> Iterable[Candidate]:
-        """With a sample ``elapsed`` intervals later: one for each count in its window."""
+        """The candidates after a sample ``elapsed`` intervals later: one for each count in its window."""
         start = self.over_hole(0.0) if self.run and elapsed >= HOLE_INTERVALS else self
         time = self.time + elapsed
         window, joins = start.window(time, motion), start.run < ORDER
@@ -110,12 +114,13 @@ class Candidate(NamedTuple):
         )
 
     def future(self) -> tuple[object, ...]:
+        # All that decides which samples the candidate can take from now on.
         recent = self.spots[-ORDER:] if self.run >= ORDER else self.spots[-ORDER - self.run :]
         places = tuple((round(spot.time - self.time, 9), spot.cycles, spot.phase) for spot in recent)
         return places, min(self.run, ORDER), self.leaves
 
     def joined_by(self, other: Candidate) -> Candidate:
-        """Both, of the same future, as one."""
+        """One candidate for two with the same future."""
         number, least, most = self.residuals
         number_, least_, most_ = other.residuals
         common = 0
@@ -152,7 +157,7 @@ def merged(candidates: Iterable[Candidate]) -> list[Candidate] | None:
 
 
 class LogEntry(NamedTuple):
-    """One sample or its absence: the phase of a good one, intervals since the last, candidates before it."""
+    """One sample: phase, None if missing or flagged; intervals since the last; candidates before it."""
 
     phase: float | None
     elapsed: float
@@ -160,7 +165,7 @@ class LogEntry(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The candidate that is right, and whether the doubt has ended."""
+    """The candidate that is right, whether the doubt has ended, and why the position is ``lost``."""
 
     candidate: Candidate | None = None
     settled: bool = False
@@ -168,9 +173,9 @@ class Decision(NamedTuple):
 
 
 class Doubt:
-    """Candidates from the last certain samples on, until one is right or the position is lost.
+    """Follows candidates from the last certain samples on, until one is right or the position is lost.
 
-    ``log`` are the entries before: a contradiction goes back into them. ``start`` are the candidates now.
+    ``log``: the entries before, which a contradiction goes back into. ``start``: the first candidates.
     """
 
     def __init__(
@@ -182,19 +187,19 @@ class Doubt:
         self.candidates = start
         self._begun = len(self.log)
         self._first_spots = start[0].spots
-        self.only_missing = True  # No sample contradicts, and none was flagged.
+        self.only_missing = True  # no sample contradicted, and none was flagged
         self._contradicted: int | None = None  # number of the last entry that no candidate could take
-        self._rows = 0  # contradictions
-        self.followed = 0.0  # intervals with samples
+        self._rows = 0  # number of contradictions
+        self.followed = 0.0  # intervals with samples since the doubt began
 
     def skip(self, elapsed: float, flagged: bool) -> None:
-        """No sample, or one that failed its checks (``flagged``), ``elapsed`` intervals later."""
+        """Enter a missing or a ``flagged`` sample, ``elapsed`` intervals later."""
         self.only_missing &= not flagged
         self._enter(None, elapsed)
         self._follow(self._advance(self.candidates, len(self.log) - 1))
 
     def suspect(self) -> None:
-        """A sample counted by a wider bound than that in doubt contradicts."""
+        """Go back if a sample that eq. 9 counted, with its wider bound, contradicts the bound in doubt."""
         number = self._first_misfit(len(self.log))
         if number < len(self.log):
             self.only_missing = False
@@ -203,7 +208,7 @@ class Doubt:
                 self.candidates = []
 
     def take(self, phase: float, elapsed: float, refused: bool = False) -> Decision:
-        """A good sample ``elapsed`` intervals later; ``refused``: over the limit of usual samples."""
+        """Take a good sample ``elapsed`` intervals later; ``refused``: over the limit of usual samples."""
         self.followed += elapsed
         self._enter(phase, elapsed)
         number = len(self.log) - 1
@@ -246,7 +251,7 @@ class Doubt:
                 yield from one.successors(phase, elapsed, self.motion)
 
     def _go_back(self, contradicted: int) -> bool:
-        """Leave m samples out, from each entry on that can have been the first bad one."""
+        """Search again, with m samples left out from each entry that can be the first bad one."""
         now = len(self.log)
         found: list[Candidate] = []
         for start in range(max(0, contradicted - self._reach), contradicted + 1):
@@ -277,14 +282,14 @@ class Doubt:
         elif settled and all(
             abs(one.elapsed - round(one.elapsed)) <= SAME_TIME for one in self.log[self._begun :]
         ):
-            # No later phase tells them apart.
+            # At whole intervals their positions will always differ by whole cycles: no phase can decide.
             return Decision(lost=LossCause.AMBIGUOUS)
         if self.followed > MOST_INTERVALS:
             return Decision(lost=LossCause.UNDECIDED)
         return Decision()
 
     def _is_proven(self, one: Candidate) -> bool:
-        """Random phases, or a frozen input, would not look like this."""
+        """True if neither random phases nor a frozen input explain the candidate."""
         stood = sum(self._is_near(spot, one) for spot in self._first_spots)
         return one.probability <= FALSE_ACCEPTANCE and (stood >= ORDER or self._moves(one))
 
@@ -292,12 +297,14 @@ class Doubt:
         return not all(self._is_near(spot, one) for spot in one.run_spots)
 
     def _is_near(self, spot: Spot, one: Candidate) -> bool:
-        # As the phases of a machine that stands.
+        # Within the errors of two phases: the machine may stand.
         return abs(apart(spot.phase, one.last.phase)) <= 2.0 * self.motion.phase_error
 
     def _is_jump(self, one: Candidate) -> bool:
+        # The run is extended backwards. If its motion takes all samples back to the contradiction, no sample
+        # was bad, and the position has jumped.
         first, spots = self._contradicted, one.run_spots
-        if first is None or not self._moves(one):  # it stands where it stood before
+        if first is None or not self._moves(one):  # the machine stands where it stood before
             return False
         time = spots[0].time
         for number in range(len(self.log) - len(spots), first, -1):
@@ -314,6 +321,7 @@ class Doubt:
         return True
 
     def _first_misfit(self, contradicted: int) -> int:
+        # The first bad sample may be further back, within the bound of eq. 9 but not within that in doubt.
         for number in range(max(0, contradicted - self._reach), contradicted):
             phase, elapsed, before = self.log[number]
             if phase is None or len(before) != 1:
@@ -324,4 +332,5 @@ class Doubt:
 
     @property
     def _reach(self) -> int:
+        # From the first bad sample to the one that contradicts, at most.
         return self.bad_samples + ORDER - 1

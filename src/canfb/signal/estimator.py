@@ -1,14 +1,14 @@
-"""The position of a machine, from one phase after the other: counted, in doubt, or lost.
+"""The cycle count from successive phases: counted, in doubt, or lost.
 
-Usually eq. 9 counts. All else is one question, which :mod:`canfb.signal.doubt` answers: which motions
-within what is declared are left?
+Usually eq. 9 counts. In doubt, :mod:`canfb.signal.doubt` follows all motions that keep what is declared and
+fit the samples.
 
-    counted --- missing, flagged, or contradicted ---> in doubt
+    counted --- a sample is missing, flagged or contradicts ---> in doubt
     in doubt --- one motion is left ---> counted
     in doubt --- none is left, or several that no sample can separate, or it takes too long ---> lost
     lost --- a start at standstill, or a witness ---> counted
 
-While it is lost, eq. 9 runs on: its speed is then wrong by whole cycles per interval.
+While the position is lost, eq. 9 runs on; its speed may be wrong by whole cycles per interval.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.tracker import Track, Tracker, TrackResult
 
 HALF_CYCLE = 0.5
-REMEMBERED_SAMPLES = 20  # r + 2 (m + r - 1): to go back behind m = 8 bad samples, r = 2
+REMEMBERED_SAMPLES = 20  # r + 2 (m + r - 1) for r = 2: enough to go back to before m = 8 bad samples
 
 
 class Estimator:
-    """Feeds a :class:`Tracker` with good samples, and decides what it is fed after any other.
+    """Feeds a :class:`Tracker` with good samples, and decides on its position after any other.
 
-    ``places`` are the last samples that were counted: cycle count, phase, intervals since the one before.
+    ``places``: the last samples that were counted, as cycle count, phase, intervals since the one before.
     """
 
     __slots__ = (
@@ -70,11 +70,11 @@ class Estimator:
         self.on_speed: Callable[[], None] = lambda: None
         """Called when the speed of a lost position is known."""
         self.phases_keep = True
-        """A phase is the same at any speed. Else uneven times say nothing: each speed has other phases."""
+        """The phases do not depend on the assumed speed. If they do, uneven times cannot show the speed."""
         self.timed = False
         """Samples bring their time, and the next interval may be uneven."""
         self.loss_cause = LossCause.NONE
-        """Of the last loss."""
+        """Why the position was lost the last time."""
         self.places: deque[Place] = deque(maxlen=REMEMBERED_SAMPLES)
         self.restart()
         self.declare(declared)
@@ -89,23 +89,23 @@ class Estimator:
             self._doubt.declare(declared.in_doubt, declared.bad_samples)
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
-        """Start with this cycle count and speed, cycles per interval; uneven times are held against 0.0."""
+        """Start at this cycle count and speed, cycles per interval. Uneven times check a speed of 0.0."""
         self.tracker.restart(cycles, speed_cycles)
         self._known = speed_cycles != 0.0
         self.lost = False
-        self.still = StillPhase()  # while lost
-        self._virtual: Place | None = None  # before the first sample: the speed assumed
+        self.still = StillPhase()  # counts samples while the position is lost
+        self._virtual: Place | None = None  # before the first sample, by the assumed speed
         self._speeds = Starts()
         self._forget()
 
     def _forget(self) -> None:
         self._doubt: Doubt | None = None
-        self._past: Doubt | None = None  # the last one, while a contradiction can go back into it
+        self._past: Doubt | None = None  # the last doubt, while a contradiction can go back into it
         self._coasted = 0.0  # intervals since the last good sample
         self.places.clear()
 
     def resume(self) -> None:
-        """Go on at standstill from the last position, also of a doubt; from cycle count 0 if it was lost."""
+        """Go on at standstill from the last position, even if in doubt; from cycle count 0 if it was lost."""
         if self.lost or not self.places:
             self.restart()
         else:
@@ -113,7 +113,7 @@ class Estimator:
             self._begin_places()
 
     def lose(self, cause: LossCause, starts: bool = True) -> None:
-        """Call the position lost; eq. 9 counts on. ``starts``: the count of the first sample is known."""
+        """Lose the position; eq. 9 counts on. ``starts``: a first sample still to come has a known count."""
         if not self.lost:
             stood = speeds.stood_still(self.places)
             self.still = StillPhase(self.places[-1][1] if stood else None)
@@ -125,6 +125,7 @@ class Estimator:
         self.on_lost()
 
     def found(self, cycles: int, step_cycles: int) -> None:
+        # A witness corrects the cycle count, and the speed by whole cycles per interval.
         self.tracker.shift(cycles, step_cycles)
         if step_cycles or self._doubt is not None or self.lost:
             self._remember_tracker()
@@ -168,7 +169,7 @@ class Estimator:
         self.places.extend(place for place in places if place is not None)
 
     def go_on(self, run: TrackResult, taken: int) -> None:
-        """The first samples of a ``run`` on arrays were counted by eq. 9; ``taken`` > 0."""
+        """Go on after the first ``taken`` > 0 samples of a ``run`` on arrays, counted by eq. 9."""
         new = slice(max(0, taken - REMEMBERED_SAMPLES), taken)
         counts, phases = run.cycles[new].tolist(), run.phase[new].tolist()
         self.tracker.go_on(run, taken)
@@ -177,12 +178,12 @@ class Estimator:
 
     @property
     def searches(self) -> bool:
-        """True while uneven times may still tell at what speed the machine turns."""
+        """True while uneven sample times may still determine the speed."""
         return self._speeds.active is not None
 
     @property
     def in_doubt(self) -> bool:
-        """True while the next samples must decide where the position is; not when it is lost."""
+        """True while the next samples must decide on the position; not when it is lost."""
         return self._doubt is not None
 
     @property
@@ -192,11 +193,11 @@ class Estimator:
 
     @property
     def contradicted(self) -> bool:
-        # A sample does not fit the motion: more than samples that are missing.
+        # Samples are not only missing: one was flagged, or fits no motion.
         return self._doubt is not None and not self._doubt.only_missing
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
-        """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
+        """Take a sample that passed its checks: position and bits VALID, COASTING, LOST, RESIDUAL."""
         if self._follows_speeds(elapsed):
             return self._by_speed(phase, elapsed)
         return self._taken(phase, elapsed)
@@ -230,7 +231,7 @@ class Estimator:
             track = tracker.look(phase)
             tracker.accept(track)
             self._begin_places()
-            # The next interval may be even by chance. What confirms the start confirms this sample.
+            # Uneven times may still come after an even interval. They confirm the start and this sample.
             return track, COASTING if self._follows_speeds(1.0) else VALID
         if self._coasted + max(0, round(elapsed) - 1) > self.declared.coasting + 0.5:
             self.lose(LossCause.COASTED)
@@ -266,12 +267,12 @@ class Estimator:
         samples = len(self.places) - (self.places[0] is self._virtual)
         even = all(place[2] == 1.0 for place in itertools.islice(self.places, 1, None))
         is_new = self._virtual is not None and samples < (ORDER if even else START_SAMPLES)
-        return is_new or self.searches  # they are being held against it
+        return is_new or self.searches  # uneven times are checking the assumed speed
 
     def limit_over(self, elapsed: float) -> float:
-        """What the residual of a usual sample is below, over an interval that is not one after another one.
+        """Limit of the residual of a usual sample, ``elapsed`` intervals after the last one.
 
-        Only where nothing is in doubt. 0.0: :meth:`good` has to decide.
+        Only if nothing is in doubt. 0.0: :meth:`good` has to decide.
         """
         known, last = len(self.places), self.tracker.elapsed
         if (
@@ -286,7 +287,7 @@ class Estimator:
         return radius if radius < HALF_CYCLE else 0.0
 
     def _counted(self, phase: float, elapsed: float) -> Track | None:
-        """The position of a sample in turn, taken if it is the only one that the machine can be at."""
+        """Take a sample in turn if the declared motion leaves one position only."""
         tracker, limit = self.tracker, self.limit_over(elapsed)
         if limit > 0.0:
             residual = tracker.advance(phase, elapsed, limit)
@@ -300,7 +301,7 @@ class Estimator:
         return track
 
     def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
-        """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""
+        """Take a sample that failed its checks, or was ``missed``: predicted position, status bits."""
         self._speeds.skip(elapsed)
         predicted = self.tracker.predict(elapsed)
         if not self.tracker.started:  # no position yet: nothing to coast on, nothing to lose
@@ -331,7 +332,7 @@ class Estimator:
         followed, predicted = (self.tracker.look(one, elapsed) for one in (phase, math.nan))
         self.tracker.skip(elapsed)
         counts = [one.last.cycles for one in self._doubt.candidates if one.run] if self._doubt else []
-        if counts:  # not valid, and so the likeliest will do
+        if counts:  # not valid: show the candidate nearest to eq. 9
             nearest = min(counts, key=lambda cycles: abs(cycles - followed.cycles))
             return followed._replace(cycles=nearest), COASTING | bits
         return predicted._replace(residual=followed.residual), COASTING | bits
@@ -348,7 +349,7 @@ class Estimator:
         self._past_places = len(self.places)
         if verdict.settled:
             self._doubt, self._past = None, self._doubt
-            if not self._at_start:  # else the places would count as the first ones
+            if not self._at_start:  # the few places left are not the first ones after a start
                 self._virtual = None
         return Track(candidate.last.cycles, candidate.last.phase, 0.0, True)
 
@@ -375,15 +376,15 @@ class Estimator:
             spots = self._spots()
             start = Candidate(0.0, spots, max(ORDER, len(spots)))
             self._doubt = Doubt(self.declared.in_doubt, self.declared.bad_samples, log, [start])
-            if self.declared.assumes and not refused:  # a refused sample contradicts, and goes back itself
+            if self.declared.assumes and not refused:  # with a refused sample, take() goes back
                 self._doubt.suspect()
         return self._doubt
 
     def _log(self) -> list[LogEntry]:
-        """The last samples as entries: 2 (m + r - 1) of them, those in a doubt before with its candidates."""
+        """The last 2 (m + r - 1) samples as entries; those of the last doubt have its candidates."""
         needed = 2 * (self.declared.bad_samples + ORDER - 1)
         entries: list[LogEntry] = []
-        first = ORDER  # the first place that has what predicts it before it
+        first = ORDER  # the first place that the places before it predict
         if self._past is not None and len(self.places) < REMEMBERED_SAMPLES:
             first, entries = self._past_places, self._past.log[:]
         time = 0.0

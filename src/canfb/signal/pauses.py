@@ -1,8 +1,8 @@
-"""Pauses and resets: what was known before is held against the standstill that a start assumes.
+"""Pauses and resets: whether the position can go on, or start again, with what was known before.
 
-Nobody counts in a pause. A machine that could have left its cycle, by its speed and the declared
-acceleration, has lost its position. After a reset it starts again at cycle count 0, and is lost where the
-machine may still turn; another reset ends that if the phases before it were equal.
+No cycles are counted in a pause. The position is lost if the machine could have left its cycle, by its speed
+and the declared acceleration. After a reset it starts again at cycle count 0, or is lost if the machine may
+still turn; another reset ends that if the phases before it were equal.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from canfb.signal import speeds
 from canfb.signal.speeds import SLIP_CYCLES, STILL_CYCLES, STILL_SAMPLES
 from canfb.signal.stages import Stages
 
-FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
+FASTEST_STANDSTILL_CYCLES = 0.5  # per interval: from this speed on, eq. 9 cannot start from standstill
 
 
 class Pauses:
-    """How ``stages`` go on after a time in which nobody counted, in intervals from sample to sample."""
+    """How ``stages`` go on after a time without counting. Intervals are from sample to sample."""
 
     def __init__(self, stages: Stages) -> None:
         self._stages, self._estimator = stages, stages.estimator
-        # The speed at a reset, cycles per interval; inf: the position was lost, and the machine may turn.
+        # The speed at the last reset, cycles per interval; inf: the position was lost, the machine may turn.
         self.turned = 0.0
 
     def moves(self, intervals: float, cycles: float) -> bool:
@@ -45,40 +45,40 @@ class Pauses:
         self._stages.restart()
 
     def resume(self, intervals: float) -> bool:
-        """Go on after ``intervals``; True if the position goes on, and was not started again.
+        """Go on after ``intervals``; True if the position goes on, False if it starts again.
 
         The rules are in :meth:`canfb.signal.chain.SignalChain.resume`.
         """
         if self._estimator.lost or self.turned:
             self._start_again(intervals)
             return False
-        self._stages.resume(*self._way(intervals))
+        self._stages.resume(*self._displacement(intervals))
         return True
 
     def _start_again(self, intervals: float) -> None:
-        """From cycle count 0, or not at all.
+        """Start at cycle count 0, or be lost.
 
-        After a reset the first sample is cycle 0 at any speed that uneven times find.
+        After a reset the first sample has cycle count 0, whatever speed uneven times find.
         """
         stages, estimator = self._stages, self._estimator
         if estimator.lost and not estimator.still.stays:
-            # Samples of whole cycles per interval equal those of a machine at rest, however many.
+            # At whole cycles per interval, all phases are equal as at standstill.
             stages.resume(inf, starts=False)
             return
         declared = estimator.declared
         acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
-        fastest = self.turned + acceleration * intervals  # NaN: of no acceleration for no known time
+        fastest = self.turned + acceleration * intervals  # NaN: no acceleration, for an unknown time
         waits = self.turned > 0.0 and not fastest < FASTEST_STANDSTILL_CYCLES
         self.turned = 0.0
         stages.restart()
         if waits:
             stages.lose_after_pause(starts=True)
 
-    def _way(self, intervals: float) -> tuple[float, float]:
-        """The way to the sample after ``intervals``, cycles, and how far from that it may be.
+    def _displacement(self, intervals: float) -> tuple[float, float]:
+        """Displacement up to the sample after ``intervals``, and its tolerance, cycles.
 
-        inf: in doubt, it leaves its cycle, or is half a cycle away or faster then: eq. 9 starts from
-        standstill. It may accelerate as it did, and as declared.
+        inf if in doubt, if the machine may leave its cycle, or may be half a cycle away or as fast: eq. 9
+        starts from standstill. It may accelerate as it did, and as declared.
         """
         estimator, places = self._estimator, self._estimator.places
         speed, step = speeds.steady_speed(places), abs(estimator.tracker.step_cycles)

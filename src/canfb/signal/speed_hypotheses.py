@@ -1,21 +1,19 @@
-"""Which speed a machine has at a start, or while it is lost, by uneven sample times.
+"""The speed of a machine at a start, or while its position is lost, by uneven sample times.
 
-The truth is y + c + s t with the counted y and whole numbers c and s. At uneven instants s t is no
-whole number, and the second difference of a wrong s is off by s times that of the instants. Each s is
-followed by itself, and goes where it leaves a window of the declared motion: from two earlier samples, f
-apart, to one that is e after the later,
+The true position is y + c + s t, with the counted y and whole c and s. At uneven instants s t is not
+whole, and a wrong s is off by s times the second difference of the instants. Each s is followed on its own,
+until it leaves a window of the declared motion: e intervals after two samples, f apart, the radius is
 
     B e (e + f) / 2 + (eps + tau |v|) (2 + 2 e / f),
 
 for each pair of BASELINES. The neighbours s +- 1 decide: with instants that deviate by sigma (intervals),
-q = sqrt(6) sigma / (B + 4 (eps + tau v)). From q = 1.5 on one speed is left after 5 to 8 samples, at 0.4
+q = sqrt(6) sigma / (B + 4 (eps + tau v)). From q = 1.5 on, one speed is left after 5 to 8 samples, at 0.4
 after 12 to 40, at 0.1 never.
 
-A bad sample removes the true speed from a :class:`SpeedSet`, or bends its count. So a hypothesis is
-followed for each place of a row of m bad samples (2010:0A), and one without: the truth is in one of them.
-A speed is found where all that are left are at the same count for two samples, and random phases would
-leave any with a probability of at most 1e-5. Sets whose row is further back than their windows reach are
-one: there are at most m + 5.
+A bad sample may remove the true speed from a :class:`SpeedSet`, or change its count. So one set is followed
+for each sample at which a row of m bad ones (2010:0A) may begin, and one without: one of them has the truth.
+The speed is found if all sets have one count for two samples, and the false acceptance rate is below 1e-5.
+Sets whose row is further back than the windows reach are united: there are at most m + 5.
 """
 
 from __future__ import annotations
@@ -31,24 +29,25 @@ from canfb.signal.doubt import FALSE_ACCEPTANCE
 from canfb.signal.limits import MOST_BAD_SAMPLES
 from canfb.signal.phase import FloatArray, IntArray
 
-# 1Vpp encoders give at most 500 kHz; up to twice that their time stamps of 100 ns cost 0.05 cycle.
+# 1 Vpp encoders give at most 500 kHz; at twice that, time stamps of 100 ns cost 0.05 cycle.
 MOST_TIME_CYCLES = 0.05
 MOST_SPEED = 10_000  # cycles per interval, to bound the memory: 1 MHz at 100 Hz
-USUAL_SPEED = 2_000  # where the resolution of the times is not known
+USUAL_SPEED = 2_000  # the same if the resolution of the times is not known
 MOST_SAMPLES = 512  # at q = 0.25 a speed is known after 200 to 400
-# Speeds, with the counts each may have had after a gap: to bound time and memory. Windows of 3 cycles for
-# the fastest, or of half a cycle more at each sample, are beyond it, and then nothing is decided.
+# Pairs of speed and count (after a gap a speed may have several counts), to bound time and memory. More, as
+# with windows of 3 cycles for the fastest or half a cycle wider at each sample, decide nothing.
 MOST_MOTIONS = 1 << 16
-BASELINES = ((1, 2), (1, 3), (2, 3), (2, 4))  # samples back; the first one counts the cycles
-SAMPLES_BEFORE = 3  # the newest: as far as these reach back
+BASELINES = ((1, 2), (1, 3), (2, 3), (2, 4))  # pairs of samples, counted back; the first one counts cycles
+SAMPLES_BEFORE = 3  # samples kept before the newest: as many as BASELINES reach back
 
 
-# Sorts equal motions side by side. Where others have the same key, some of them may stay twice: that is safe.
+# Weights of a key that sorts equal motions side by side. If different motions have one key, equal ones may be
+# kept twice, which is safe.
 _ORDER = np.array([10**15 + 37, 10**10 + 19, 10**5 + 3, 1])
 
 
 class Found(NamedTuple):
-    """The last two samples by the one speed left: counts from the first sample on, phases, intervals."""
+    """Count (from the first sample) and phase of the last two samples at the one speed left; the interval."""
 
     before: tuple[int, float]
     last: tuple[int, float]
@@ -58,15 +57,15 @@ class Found(NamedTuple):
 class SpeedSet:
     """Follows all speeds up to ``most`` cycles per interval from the next sample on.
 
-    chance       speeds that random phases would leave
-    samples      since the start; ``taken``: after a row of bad ones
-    waits        bad ones still to come
+    chance       expected number of speeds left if the phases were random
+    samples      since the start; ``taken``: after the row of bad ones
+    waits        bad samples still to come
     has_assumed  the speed assumed at the start is left, or was before the row
     """
 
     def __init__(self, most: int) -> None:
         self._most = most
-        # The last samples, newest first: cycle counts of the speeds that are left, phase, intervals since.
+        # The last samples, newest first: cycle counts at the speeds left, phase, intervals since then.
         self._counts: list[IntArray] = []
         self._phases: list[float] = []
         self._since: list[float] = []
@@ -84,11 +83,11 @@ class SpeedSet:
         self._gap += elapsed
 
     def skip_first(self, phase: float) -> None:
-        """The first sample; its ``phase`` may be off by half a cycle."""
+        """Take the first sample as a bad one: its ``phase`` may be off by half a cycle."""
         self._origin, self._gap = (phase, 0.0), 0.0
 
     def before_row(self, samples: int) -> SpeedSet:
-        """The same, if so many samples from here on are bad."""
+        """A copy for the case that the next ``samples`` are bad."""
         other = copy(self)
         other._counts, other.waits, other.taken = self._counts[:], samples, 0
         return other
@@ -102,7 +101,7 @@ class SpeedSet:
         self.chance += other.chance
 
     def feed(self, phase: float, elapsed: float, motion: BoundedMotion) -> bool:
-        """:meth:`SpeedHypotheses.feed`, of a ``motion``."""
+        """:meth:`SpeedHypotheses.feed`, within the bounds of ``motion``."""
         elapsed += self._gap
         self._gap = 0.0
         self.samples += 1
@@ -152,8 +151,8 @@ class SpeedSet:
     def _window(
         self, first: int, second: int, phase: float, motion: BoundedMotion
     ) -> tuple[FloatArray, FloatArray]:
-        """How far the line through two samples is ahead of this phase, and how far it may be off a count;
-        for each speed, in cycles from the count of sample ``first``, whose place counts from the newest.
+        """For each speed, the line through samples ``first`` and ``second`` (counted back) minus ``phase``,
+        from the count of ``first``, and the radius of the window; cycles.
         """
         later, earlier = first - 1, second - 1
         elapsed = self._since[later]
@@ -176,18 +175,18 @@ class SpeedSet:
         return bool((self._counts[0] == count).any())
 
 
-EVEN_SAMPLES = 8  # in a row whose times decide nothing: at q = 0.7 each is one with a probability of 0.11
-KNOWN_SAMPLES = 32  # from then on their rms is known; before, the largest difference stands for it
-# q: below the first nothing is decided within MOST_WAITING samples of a start; first samples below the second
-# show that it is below the first.
+EVEN_SAMPLES = 8  # samples in a row after which times are SILENT: at q = 0.7 each is, with probability 0.11
+KNOWN_SAMPLES = 32  # from then on, q is by the rms of the second differences; before, by the largest one
+# Values of q: below TELLING nothing is decided within MOST_WAITING samples of a start; if the first samples
+# are below SILENT, q is below TELLING.
 TELLING, SILENT = 0.4, 0.1
 
 
 def longest_decidable_row(largest: float, phase_error: float) -> int:
-    """The longest row of bad samples behind the first sample that leaves one count; 1 at least.
+    """The longest row of bad samples after the first sample that leaves one count, at least 1.
 
-    The row of m is a gap of E = m + 1 intervals, whose counts give speeds 1 / E apart, held against the
-    next step within B (1 + E) / 2 + eps (2 + 2 / E): less than half of 1 / E.
+    A row of m is a gap of E = m + 1 intervals, whose possible counts give speeds 1 / E apart. The next step
+    checks them within B (1 + E) / 2 + eps (2 + 2 / E), which must be below 1 / (2 E).
     """
     decidable = [
         gap - 1
@@ -204,19 +203,19 @@ class SpeedHypotheses:
         self.motion = motion
         error = motion.instant_error
         most = USUAL_SPEED if not error else int(min(MOST_SPEED, MOST_TIME_CYCLES / error))
-        self._good = [SpeedSet(most)]  # while no sample was bad
-        self._rows: list[SpeedSet] = []  # begun at a sample each, the first one at the oldest
+        self._good = [SpeedSet(most)]  # the set without bad samples, while there is one
+        self._rows: list[SpeedSet] = []  # a set for each sample at which bad ones may begin, oldest first
         self._bad_samples = bad_samples
         self._largest_off = self._squares = 0.0
-        self._even = 0  # samples in a row whose times decide nothing
+        self._even = 0  # samples in a row with times below SILENT
         self._gap = self._elapsed = 0.0
-        self._alone = 0  # samples
+        self._alone = 0  # samples in a row with one motion left
         self.samples = 0
-        """Since the start."""
+        """Samples since the start."""
         self.telling = False
-        """The times are uneven enough to tell speeds apart."""
+        """The times are uneven enough to distinguish speeds."""
         self.silent = False
-        """They never will be."""
+        """The times are even, and will decide nothing."""
 
     def expect_bad(self, bad_samples: int) -> None:
         for row in self._rows:
@@ -229,7 +228,7 @@ class SpeedHypotheses:
             one.skip(elapsed)
 
     def feed(self, phase: float, elapsed: float) -> bool:
-        """A sample, ``elapsed`` intervals after the last entry; False: it cannot be decided any more."""
+        """Take a sample ``elapsed`` intervals after the last entry; False: nothing can be decided now."""
         self.samples += 1
         self._look_at_times(elapsed + self._gap)
         self._gap = 0.0
@@ -243,7 +242,7 @@ class SpeedHypotheses:
         for row in past[1:]:
             past[0].unite(row)
             self._rows.remove(row)
-        self.left = self._motions_left()  # 0 after false samples in more than one row
+        self.left = self._motions_left()  # 0 after bad samples in more than one row
         self._alone = self._alone + 1 if self.left == 1 else 0
         return bool(self.left)
 
@@ -268,11 +267,11 @@ class SpeedHypotheses:
         if most != 1:
             return most
         if any(one.samples < 2 for one in (*taken, *waiting)) or (waiting and not self._good):
-            return 2  # each set has one, but not up to the last sample
+            return 2  # each set has one motion, but a set may lack the last samples
         return len({one.counts[0] for one in taken})
 
     def _look_at_times(self, elapsed: float) -> None:
-        """The second difference of the instants: its rms is sqrt(6) sigma."""
+        """Find q by the second differences of the instants, whose rms is sqrt(6) sigma."""
         off, self._elapsed = abs(elapsed - self._elapsed), elapsed
         if self.samples < 3:
             return
@@ -285,7 +284,7 @@ class SpeedHypotheses:
 
     @property
     def is_decided(self) -> bool:
-        """All that is left is at one count, for two samples."""
+        """True if all motions left have had one count for two samples."""
         return self._alone > 1
 
     @property
@@ -295,7 +294,7 @@ class SpeedHypotheses:
         return sets[0].last_two if self.is_decided and chance <= FALSE_ACCEPTANCE else None
 
     def holds(self, count: int) -> bool | None:
-        """A speed that is left has this count, that of the speed assumed; None: not known yet."""
+        """True if a speed left has ``count``, that of the assumed speed; None: not known yet."""
         for good in self._good:
             good.has_assumed = good.has(count)
         if any(one.has(count) for one in self._sets):

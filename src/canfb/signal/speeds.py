@@ -1,7 +1,7 @@
-"""Speeds and acceleration of a machine by its last samples, cycles and intervals; whether it stands still.
+"""Speed, acceleration and standstill of a machine by its last samples, in cycles and intervals.
 
-Whole cycles per interval show phases that stand still, too. With clocks 100 ppm apart they move by more
-than 0.02 cycle in 256 samples; at any other speed they stay so near with a chance of 1.6e-4.
+At whole cycles per interval phases stand still, too. With clocks 100 ppm apart they move by more than 0.02
+cycle in 256 samples; at any other speed they stay within that with a probability of 1.6e-4.
 """
 
 from __future__ import annotations
@@ -10,23 +10,23 @@ import itertools
 import math
 from collections.abc import Sequence
 
-STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
+STANDSTILL_CYCLES = 0.001  # per interval, on average: noise, and a servo at rest
 STILL_SAMPLES, STILL_CYCLES = 256, 0.02
-# What an error of a time may make of a phase at the speed of the machine, without a second opinion: with the
-# residual limit of 1/3 it is less than half a cycle.
+# Largest displacement by an error of a sampling instant that is accepted unchecked: with the residual limit
+# of 1/3 it stays below half a cycle.
 SLIP_CYCLES = 0.15
-MOVED_CYCLES = 0.05  # what the errors of two phases do not show: twice the largest one, and once more as much
-STEADY_SAMPLES = 16  # show whether the machine stands still
+MOVED_CYCLES = 0.05  # a displacement beyond the errors of two phases: twice their sum of 0.025
+STEADY_SAMPLES = 16  # the number of samples that show a standstill
 
 Place = tuple[int, float, float]  # cycle count, phase, intervals since the one before
 
 
 def apart(phase: float, other: float) -> float:
-    return (phase - other + 0.5) % 1.0 - 0.5  # the nearest way between them
+    return (phase - other + 0.5) % 1.0 - 0.5  # the shorter of both distances
 
 
 def acceleration(places: Sequence[Place]) -> float:
-    """Between the last three places, cycles per interval squared; 0 with fewer."""
+    """Acceleration over the last three places, cycles per interval squared; 0 with fewer."""
     if len(places) < 3:
         return 0.0
     (c0, p0, _), (c1, p1, e1), (c2, p2, e2) = (places[n] for n in (-3, -2, -1))
@@ -44,7 +44,7 @@ def steady_speed(places: Sequence[Place]) -> float:
 
 
 def stood_still(places: Sequence[Place], least: int = STEADY_SAMPLES) -> bool:
-    """So many places are known, ``least``, and over the last 16 the machine did not move, to nor fro."""
+    """True if at least ``least`` places are known, and the machine did not move over the last 16."""
     recent = list(places)[-STEADY_SAMPLES:]
     moved = [(place[0] - recent[-1][0]) + (place[1] - recent[-1][1]) for place in recent]
     still = (
@@ -54,16 +54,16 @@ def stood_still(places: Sequence[Place], least: int = STEADY_SAMPLES) -> bool:
 
 
 def least_speed(places: Sequence[Place], steps: int) -> float:
-    """The smallest speed of the last ``steps``, cycles per interval; 0 without one."""
+    """The smallest speed of the last ``steps`` steps, cycles per interval; 0 without one."""
     recent = list(places)[-steps - 1 :]
     speeds = [((new[0] - old[0]) + (new[1] - old[1])) / new[2] for old, new in itertools.pairwise(recent)]
     return min(speeds, key=abs, default=0.0)
 
 
 class StillPhase:
-    """Counts the samples in a row near one phase; ``phase`` is that of a machine that is known to stand.
+    """Counts ``samples`` in a row near one phase. ``phase``: that of a known standstill, if any.
 
-    ``stays``: it is, and each sample since was near it.
+    ``stays``: the standstill was known, and each sample since was near its phase.
     """
 
     __slots__ = ("_phase", "samples", "stays")

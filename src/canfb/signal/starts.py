@@ -1,4 +1,4 @@
-"""When the speeds of a machine are followed, and what they say of a sample."""
+"""When the possible speeds of a machine are followed, and what they show of a sample."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from canfb.signal.limits import Declared
 from canfb.signal.speed_hypotheses import Found, SpeedHypotheses, longest_decidable_row
 from canfb.signal.speeds import Place
 
-# At q = 0.7 a second difference is below TELLING with a probability of 0.43, below SILENT with 0.11. So times
-# that tell pass for others in one of 10^5 starts, the second differences of as many samples taken together.
-LEAST_SAMPLES = 8  # before they count as even: 0.11^6
-UNDECIDED_SAMPLES = 16  # before they count as deciding nothing: 0.43^14
-EVEN = 2e-4  # of the interval: drift of two crystals
-START_SAMPLES = 8  # at q >= 1 uneven times contradict a wrong speed at a start by sample 5 in 95 %
-MOST_WAITING = 64  # samples after a start: at q = 0.4 a wrong speed has gone after 12 to 40
+# At q = 0.7 a second difference of the times is below TELLING with probability 0.43, and below SILENT with
+# 0.11. All of the first n - 2 are so by chance in about one of 10^5 starts.
+LEAST_SAMPLES = 8  # until times count as even: 0.11^6
+UNDECIDED_SAMPLES = 16  # until times count as not deciding: 0.43^14
+EVEN = 2e-4  # relative difference of even intervals: drift of two crystals
+START_SAMPLES = 8  # at q >= 1, uneven times contradict a wrong speed by sample 5 in 95 % of all starts
+MOST_WAITING = 64  # samples after a start: at q = 0.4, a wrong speed is excluded after 12 to 40
 
 
 class SpeedVerdict(Enum):
@@ -28,9 +28,9 @@ class SpeedVerdict(Enum):
 
 
 class Starts:
-    """When the speeds are followed: from a start on whose times are uneven, and while the position is lost.
+    """Follows the speeds after a start with uneven times, and while the position is lost.
 
-    ``origin`` is the cycle count of the first sample, None where the count is not known.
+    ``origin`` is the cycle count of the first sample, None if the count is not known.
     """
 
     def __init__(self, origin: int | None = None) -> None:
@@ -38,13 +38,13 @@ class Starts:
         self.active: SpeedHypotheses | None = None
         self._tried = False
         self._is_declared = self._may_be_uneven = self._acceleration_waits = False
-        self._unit = 1.0  # that of the speeds, in intervals as they are counted now
+        self._unit = 1.0  # unit of the speeds that are followed, in present intervals
 
     def rescale(self, factor: float) -> None:
         self._unit *= factor
 
     def stop(self) -> None:
-        """Whatever comes, these speeds are not followed any more."""
+        """Do not follow these speeds any more."""
         self.active, self._tried = None, True
 
     def skip(self, elapsed: float) -> None:
@@ -60,14 +60,13 @@ class Starts:
         places: Sequence[Place],
         missed: float,
     ) -> bool:
-        """Is the next sample to be held against them? ``places`` are the samples of a start that is
-        assumed, ``missed`` the intervals since the last of them.
+        """True if the next sample is to be checked by the speeds. ``places`` are the samples of a start at an
+        assumed speed, ``missed`` the intervals since the last of them.
 
-        The first one of ``timed`` samples may be the unit of all others, and even by definition: it shows
-        nothing then.
+        The first interval of ``timed`` samples may define the unit: that it is even shows nothing.
         """
         largest = declared.usual.largest
-        if self.active is not None:  # the limit is in the unit of now, and the search in that of its begin
+        if self.active is not None:  # `largest` is in present intervals, the search in those of its begin
             unit = self._unit
             self.active.motion = BoundedMotion(
                 largest * unit * unit, declared.phase_error, declared.instant_error / unit
@@ -96,13 +95,13 @@ class Starts:
         return True
 
     def take(self, phase: float, elapsed: float, lost: bool, count: int | None) -> SpeedVerdict | Found:
-        """A sample; ``count`` is that of the speed assumed, None where it is in doubt.
+        """Check a sample by the speeds; ``count`` is that of the assumed speed, None if in doubt.
 
-        The last two samples at the speed of a position that was lost, once it is found.
+        Found: the last two samples, once the speed of a lost position is known.
         """
         speeds = self.active
         if speeds is None or not speeds.feed(phase, elapsed / self._unit):
-            self.active = self.origin = None  # what is counted from here on lacks the way up to here
+            self.active = self.origin = None  # a later search does not know the cycles up to here
             self._tried |= speeds is None or bool(speeds.left)
             return SpeedVerdict.UNKNOWN
         if lost:
@@ -116,7 +115,7 @@ class Starts:
         if speeds.is_decided or even or speeds.samples > most:
             self.stop()
             return SpeedVerdict.UNKNOWN
-        # Without a declared acceleration q is small, and a healthy start would wait for nothing.
+        # Without a declared acceleration q is small, and a start would be delayed in vain.
         known = speeds.silent and (speeds.samples >= LEAST_SAMPLES or not self._may_be_uneven)
         waits = self._is_declared and not known
         return SpeedVerdict.OPEN if waits else SpeedVerdict.UNKNOWN
