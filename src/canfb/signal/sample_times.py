@@ -1,14 +1,15 @@
 """Sample times of the encoder interface (2000:05): how many sampling intervals lie between two samples.
 
-The interface's own clock says it exactly; only the ratio of differences enters eq. 9, so neither its drift
+The interface's own clock measures it exactly: only ratios of differences enter eq. 9, so neither its drift
 nor the length of the interval matters. A time is right
 
-- with receive times, if it is as long after the last one as its SYNC was after that of the last; or at its
-  place, if the times so far are closer to the line than to SYNC, as those of a timer;
-- where these are worse than HEARD_S, if both of them say so, or at the place of its count one or such a line;
-- without, at the place of its count, or of two calls in a row.
+- with receive times, if it differs from the last time as its SYNC does from the last SYNC; or if it is at
+  its place, and the times so far are closer to their line than to SYNC: the interface samples by a timer;
+- with receive times worse than HEARD_S, if those of SYNC and sample both agree; or if it is at the place
+  that the count of SYNCs gives, and one of them agrees, or the line of a timer;
+- without receive times, if it is at the place that the count gives, or two calls in a row agree.
 
-The line through the times that were right (:mod:`canfb.timing.grid`) is the one estimate of that clock.
+The line through the right times (:mod:`canfb.timing.grid`) is the one estimate of that clock.
 """
 
 from __future__ import annotations
@@ -22,21 +23,21 @@ from canfb.signal.speeds import SLIP_CYCLES
 from canfb.timing.grid import SHOWN, UNDECLARED, Grid
 
 HALF_TICKS = TICKS // 2
-OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
+OLDEST = 64.0  # intervals: a time no further back is that of an earlier sample
 CLOSEST = 0.25  # intervals: samples closer together would give a poor speed
-RECEIVED_S = 10e-6 / 3  # the mean distance of two receive times that are exact to 10 us
-HEARD_S = 75e-6  # two receive times of 30 us, and the interface
-FAR_S = 10 * HEARD_S  # counts in their mean, once the host has started: ROW wrong times do not reach HEARD_S
+RECEIVED_S = 10e-6 / 3  # mean error of the interval between two receive times that are exact to 10 us
+HEARD_S = 75e-6  # largest error of that interval: 30 us for each of them, 15 us for the interface
+FAR_S = 10 * HEARD_S  # largest error in the mean, once there is a line: ROW wrong times do not reach HEARD_S
 DRIFT = 2e-4  # of two clocks, 100 ppm each
-SAME_PACE = 0.002  # of the interval: a limit of acceleration counts with its square
-REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
+SAME_PACE = 0.002  # relative change of the interval that is ignored; limits of acceleration use its square
+REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0  # see SampleTimes.elapsed
 
 
 class SampleTimes:
     """Turns sample times into elapsed intervals, and judges them.
 
-    ``sync_interval_s`` is the nominal interval of SYNC, seconds, which a module sets for several samples in
-    one; while it is 0.0, that of ``grid`` takes its place: the interface knows its pace best.
+    ``sync_interval_s`` is the nominal interval of SYNC, seconds, set if there are several samples in one.
+    0.0: the period of ``grid`` is used.
     """
 
     __slots__ = (
@@ -60,16 +61,16 @@ class SampleTimes:
     )
 
     def __init__(self, rests: Callable[[], bool] = lambda: False) -> None:
-        self._rests = rests  # The machine stands still, for certain.
+        self._rests = rests  # True: the machine certainly stands still
         self.sync_interval_s = 0.0
-        self.grid = Grid()  # The times that were right, ticks since the first one.
-        # Intervals since the last sample, by the last time; and from a SUSPECT one to its place.
+        self.grid = Grid()  # the times that were right, ticks since the first one
+        # By the newest time: intervals since the last sample; distance of a SUSPECT one from its place.
         self.passed, self.off = 1.0, 0.0
         self.reset()
 
     def reset(self) -> None:
-        self._pace_s = 0.0  # the interval, while nobody says how long it is
-        # How far times are from the receptions of SYNC, mean; and up to the last one that was right.
+        self._pace_s = 0.0  # the measured interval, used while sync_interval_s is 0.0
+        # Mean error of sample times against receive times of SYNC; and that up to the last right time.
         self._heard_s = self._right_heard_s = 0.0
         self.grid.forget()
         self.forget()
@@ -78,13 +79,14 @@ class SampleTimes:
         self.grid.pause()
         self._last: int | None = None
         self._at = 0  # ticks of the last sample that was taken, as the grid has them
-        self._received_s: float | None = None  # when that was received
-        self._synced_s: float | None = None  # when its SYNC was
-        self._least_s = inf  # by the call of its SYNC, when the first sample was taken, at the soonest
-        self._at_count = True  # the last time that was right was at the place of its count
-        self._agrees = False  # the last time that was not right was where its call was due
-        self._refused_counted = 0.0  # intervals counted up to the last time that was not right
-        self.waited = 0.0  # intervals without a sample since the last one with its time
+        self._received_s: float | None = None  # receive time of that sample
+        self._synced_s: float | None = None  # receive time of its SYNC
+        # The latest possible time of the host at tick 0: a sample is never after the call of its SYNC.
+        self._least_s = inf
+        self._at_count = True  # the last right time was at the place that the count gives
+        self._agrees = False  # the last refused time agreed with the call of its SYNC
+        self._refused_counted = 0.0  # `counted` at the last refused time; 0.0: none since a right one
+        self.waited = 0.0  # intervals that passed without a timed sample since the last one
 
     @property
     def unit_s(self) -> float:
@@ -131,11 +133,11 @@ class SampleTimes:
         """Intervals since the last sample that was taken, above 0; or what is wrong with this time.
 
         ``counted`` intervals have passed by the count of SYNCs; ``received_s`` and ``synced_s`` are the
-        receive times of the sample and its SYNC, seconds, None: not known. A time that is off within the
-        interval is right where that costs less than SLIP_CYCLES at ``speed_cycles`` per interval.
+        receive times of the sample and its SYNC, seconds, None: not known. A time off its place within the
+        interval is right if that costs less than SLIP_CYCLES at ``speed_cycles`` per interval.
 
-        REPEATED: that of an earlier sample. SUSPECT: it fits nothing; :attr:`off` says how far. CROWDED: a
-        new sample too near to the last one for a speed. RESTARTED: the clock was, or SYNC is on another grid.
+        REPEATED: the time of an earlier sample. SUSPECT: fits nothing, by :attr:`off`. CROWDED: a new sample,
+        too near to the last one for a speed. RESTARTED: the clock was restarted, or SYNC is on another grid.
         """
         last, grid = self._last, self.grid
         if last is None:
@@ -166,9 +168,9 @@ class SampleTimes:
             error_s = abs(apart_s - passed_s)
             self.off = max(self.off, error_s / unit, abs(apart_s / unit - counted))
             self._heard_s += (min(error_s, FAR_S if grid.period else unit) - self._heard_s) / SHOWN
-        # That of a timer, or of a clock that each SYNC advances, is closer to the line than to SYNC.
+        # Times of a timer, or of a clock that each SYNC advances, are closer to the line than to SYNC.
         is_timer = off_s <= spare_s and max(grid.deviation * TICK_S, RECEIVED_S) < self._right_heard_s
-        # A time at its place is wrong by most_s: beyond, SYNC was late, and the count says more.
+        # No time at its place is wrong by most_s: then SYNC was late, and its count says more.
         if heard_apart_s is None or self._heard_s > HEARD_S or error_s >= most_s:
             right = places == round(counted)
             if synced_s is not None and received_s is None:
@@ -195,12 +197,12 @@ class SampleTimes:
                 off_s <= spare_s and error_s < unsure_s and (apart_s is None or is_timer)
             )
         kind = REPEATED if heard_apart_s is None and grid.period and places < counted - 0.5 else SUSPECT
-        if not right or kind == REPEATED:  # right by its call, but at an earlier place
+        if not right or kind == REPEATED:  # if right, then by its call: it is before the place of its count
             kind = intervals if right else kind
             return self._refused(time_100ns, ticks, counted, kind, received_s, synced_s)
         self._at_count = places == round(counted)
-        # SYNC at another rate counts other intervals: the samples are another line, but not while the machine
-        # moves, since what is declared for the interval would not hold for a longer one.
+        # If SYNC has another rate, times do not agree with its count, and begin another line. Not while the
+        # machine moves: what is declared for one interval would not hold for a longer one.
         is_same = heard_apart_s is None or self._at_count or not self._rests()
         grid.take(self._at + ticks, in_turn=is_same)
         self._take(
@@ -212,10 +214,7 @@ class SampleTimes:
         return intervals
 
     def _follow_pace(self, ticks: int, counted: float) -> bool:
-        """Speeds are in intervals: they get another unit only where the interval is another one.
-
-        False while none is known.
-        """
+        """Take another interval, the unit of speeds, if the measured one differs; False: not known yet."""
         pace_s = self.grid.rough * TICK_S or self._pace_s or max(0.0, ticks * TICK_S / counted)
         if abs(pace_s - self._pace_s) > SAME_PACE * pace_s:
             self._pace_s = pace_s
@@ -235,19 +234,19 @@ class SampleTimes:
         received_s: float | None,
         synced_s: float | None,
     ) -> float:
-        """``kind``, or RESTARTED: those of several SYNCs in a row go on with each other."""
+        """``kind``, or RESTARTED if the refused times of several SYNCs in a row are a grid."""
         if counted <= self._refused_counted and kind != CROWDED:
             return kind
         self._refused_counted = counted
         grid, at = self.grid, self._at + ticks
         if not grid.period and kind == SUSPECT:
-            grid.learn(at)  # the clock is as even where its SYNC was late
+            grid.learn(at)  # a late SYNC does not disturb the clock of the interface
             return kind
         if grid.refuse(at):
             grid.set_again(grid.row)
             self._least_s = inf
             kind = RESTARTED
-        elif kind > 0.0:  # intervals, right by its call: its SYNC was late, or of another rate
+        elif kind > 0.0:  # `kind` is the intervals, right by its call: SYNC was late, or has another rate
             grid.skip(max(0, grid.nearest(at)[0]))
         if kind > 0.0 or kind == RESTARTED:
             self._take(time_100ns, ticks, received_s, synced_s)
@@ -259,7 +258,7 @@ def _apart_s(before_s: float | None, now_s: float | None) -> float | None:
 
 
 def _bounded(now_s: float | None, apart_s: float | None, passed_s: float) -> float | None:
-    # One that was late is no measure of the next times.
+    # Bounded, so that a late reception does not make the next times look wrong.
     if now_s is None or apart_s is None:
         return now_s
     by_s = HEARD_S + DRIFT * passed_s

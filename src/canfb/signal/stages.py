@@ -1,6 +1,7 @@
 """The stages of one sample: conditioning, Table 1, correction, eq. 9, supervision, comparisons.
 
-A usual sample is in turn, within all limits, nothing in doubt; :meth:`Stages._resolve` takes all others.
+A usual sample is in turn and within all limits, with nothing in doubt; :meth:`Stages._resolve` takes any
+other.
 """
 
 from __future__ import annotations
@@ -47,10 +48,10 @@ class Extras(NamedTuple):
     """What a sample has beside two counts in turn.
 
     sample    the sample, with coarse track and zero pulse
-    unplaced  it is not to be used: it is not known when it was taken
-    next_one  by the count of SYNCs none was missed before it
-    pulse     a zero pulse that came before an earlier sample of the same interval of SYNC
-    newest    it is the newest of its interval of SYNC
+    unplaced  its instant is not known, so it is not used
+    next_one  no sample was missed before it, by the count of SYNCs
+    pulse     a zero pulse before an earlier sample of the same SYNC interval
+    newest    it is the newest sample of its SYNC interval
     """
 
     sample: Sample
@@ -65,19 +66,19 @@ class Stages:
     count.
 
     estimator   of the cycle count
-    tracks      what makes a phase of counts
-    reference   coarse track and zero pulse; another one for another encoder
-    second      another sensor, None without one
-    samples     the number of the last sample, 0 before the first one
+    tracks      from counts to a phase
+    reference   coarse track and zero pulse; made again for another encoder
+    second      comparison with another sensor, None without one
+    samples     number of the last sample, 0 before the first one
     last        its feedback, None after a start
-    place       its place, if it was taken; ``was_valid``: not 0 if it was valid
+    place       its position, None if it was not used; ``was_valid``: not 0 if it was valid
     clock       sampling intervals since the start
     base_status  bits of every sample
     """
 
     last: Feedback | None
     place: Track | Feedback | None
-    _way: tuple[float, float, int] | None
+    _due: tuple[float, float, int] | None
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None) -> None:
         limits = config.chain_limits
@@ -113,7 +114,7 @@ class Stages:
         coarse = CoarseTrack(n, limits.sample.full_scale_counts, limits.coarse_limit_revolutions)
         self.reference = Reference(self.estimator, coarse, ZeroPulse(n))
         self.reference.had_position = had_position
-        if self.second is not None:  # nothing is known of the sensor any more
+        if self.second is not None:  # what was found of the other sensor does not hold any more
             self.use_second(self.second.sensor)
 
     def use_second(self, sensor: SecondSensor | None) -> None:
@@ -122,7 +123,7 @@ class Stages:
 
     def activate(self, correction: Correction) -> None:
         self.tracks.activate(correction)
-        self._activated = self.samples  # up to here phases were others
+        self._activated = self.samples  # the phases up to this sample had another correction
         self.base_status = 0 if correction.table is None else TABLE_ACTIVE
         self._tracks_changed()
 
@@ -136,15 +137,15 @@ class Stages:
         self._expect(self._tracker.step_cycles if self._tracker.started else self._speed)
 
     def use_unit(self, unit_s: float) -> None:
-        """The sampling interval, seconds; 0.0: not known. Speeds stay as they are."""
+        """Set the sampling interval, seconds; 0.0: not known. Speeds per interval are kept."""
         self.tracks.use_unit(unit_s)
         self._tracks_changed()
 
     def rescale(self, factor: float) -> None:
-        """Intervals are counted in a unit that is shorter by ``factor``."""
+        """Count intervals in a unit that is shorter by ``factor``."""
         estimator = self.estimator
         if factor >= LONG_INTERVAL and self.rests():
-            estimator.resume()  # what was long ago says less than that the machine stands
+            estimator.resume()  # standstill says more than places that are now long intervals apart
         else:
             estimator.rescale(factor)
         self._speed /= factor
@@ -166,22 +167,22 @@ class Stages:
             self.second.restart()
         self._forget_sample(speed_cycles)
 
-    def resume(self, way_cycles: float, spread_cycles: float = 0.0, starts: bool = True) -> None:
-        """Go on after a pause in which the machine stopped or went ``way_cycles``; lost at inf."""
-        # Where tables were exchanged meanwhile, the next phase shows nothing.
+    def resume(self, displacement_cycles: float, spread_cycles: float = 0.0, starts: bool = True) -> None:
+        """Go on after a pause in which the machine stopped or moved ``displacement_cycles``; inf: lost."""
+        # After a change of the correction, the next phase cannot be compared with the last one.
         shows = self._tracker.started and self._activated < self.samples
         self.reference.restart(keep=True)
         if self.second is not None:
             self.second.restart(keep=True)
         self.estimator.resume()
         self._forget_sample()
-        if way_cycles == inf:
+        if displacement_cycles == inf:
             self.lose_after_pause(starts)
         elif shows:
-            due = self._tracker.places[1].phase + way_cycles / 2.0
-            most = abs(way_cycles) / 2.0 + spread_cycles
-            # One that stood and moves at once may have begun in the pause, and be whole cycles away.
-            self._way = due, most + speeds.MOVED_CYCLES, 1 if most else CONFIRMING_SAMPLES
+            due = self._tracker.places[1].phase + displacement_cycles / 2.0
+            most = abs(displacement_cycles) / 2.0 + spread_cycles
+            # A machine that stood and moves at once may have begun in the pause, and be whole cycles away.
+            self._due = due, most + speeds.MOVED_CYCLES, 1 if most else CONFIRMING_SAMPLES
 
     def lose_after_pause(self, starts: bool) -> None:
         self.estimator.lose(LossCause.PAUSE, starts)
@@ -189,12 +190,12 @@ class Stages:
             self.second.restart()
 
     def _forget_sample(self, speed_cycles: float = 0.0) -> None:
-        self._usual_status = 0  # of the next sample if it is a usual one; 0: it cannot be
+        self._usual_status = 0  # status of the next sample if it is usual; 0: it cannot be
         self.last = self.place = None
         self._sine = self._cosine = nan  # counts of the last sample
         self._speed, self.was_valid = float(speed_cycles), 0  # of the last sample
-        # The phase after a pause, how far it may be from that, and in how many samples.
-        self._way = None
+        # The phase expected after a pause, its tolerance, and the number of samples still to be checked.
+        self._due = None
         self._expect(self._speed)
 
     # Samples.
@@ -207,10 +208,10 @@ class Stages:
         timed: bool = False,
         extras: Extras | None = None,
     ) -> Feedback:
-        """One sample, ``elapsed`` intervals after the one before. A bad one is flagged, it never raises.
+        """Take one sample, ``elapsed`` intervals after the one before. A bad one is flagged, it never raises.
 
-        ``timed``: its own time says so, and the next interval may be uneven. Without ``extras`` it comes in
-        turn: after one interval, or where ``timed`` after no more than HOLE_INTERVALS.
+        ``timed``: its own time gives ``elapsed``, and the next interval may be uneven. Without ``extras`` it
+        comes in turn: after one interval, or if ``timed`` after HOLE_INTERVALS at most.
         """
         tracks = self.tracks
         offset_s, gain_s, offset_c, factor_c, skew = tracks.coefficients
@@ -234,7 +235,7 @@ class Stages:
             self._usual_status
             and extras is None
             and phase == phase
-            and not (repeated and not self._frozen.repeats)  # then the machine stands
+            and not (repeated and not self._frozen.repeats)  # a first repeat: does the machine stand?
         ):
             steady = tracker.elapsed == elapsed == 1.0
             limit = tracker.residual_limit if steady else estimator.limit_over(elapsed)
@@ -274,18 +275,18 @@ class Stages:
         faults = self._supervision.faults(sine, cosine, amplitude)
         estimator, reference, frozen = self.estimator, self.reference, self._frozen
         repeated = self.repeats(sine, cosine)
-        if repeated and not frozen.repeats:  # of the last steps any may have been bad
+        if repeated and not frozen.repeats:  # any of the last samples may have been bad
             frozen.speed_cycles = speeds.least_speed(estimator.places, estimator.declared.bad_samples + 1)
         if frozen.take(repeated):
             faults |= FROZEN
         self._sine, self._cosine = sine, cosine
         estimator.timed = timed
         measured = not (faults or sample.invalid or unplaced) and phase == phase
-        if measured and self._way is not None:
-            due, most, samples = self._way
-            away = abs(speeds.apart(phase, due)) > most  # It has neither stopped nor gone on.
-            due = phase if samples == CONFIRMING_SAMPLES else due  # one that stands stays at the first
-            self._way = None if away or samples == 1 else (due, most, samples - 1)
+        if measured and self._due is not None:
+            due, most, samples = self._due
+            away = abs(speeds.apart(phase, due)) > most  # the machine has neither stopped nor gone on
+            due = phase if samples == CONFIRMING_SAMPLES else due  # at standstill the first phase stays
+            self._due = None if away or samples == 1 else (due, most, samples - 1)
             if away:
                 self.lose_after_pause(starts=False)
         track, bits = estimator.good(phase, elapsed) if measured else estimator.bad(elapsed, missed=unplaced)
@@ -303,7 +304,7 @@ class Stages:
                 sample,
                 track,
                 bits,
-                # Until the other sensor has confirmed the speed of a start, a pulse has no place.
+                # Before the other sensor confirms the speed of a start, the place of a pulse is not known.
                 pulse if self.second is None or self.second.witness.proven or estimator.lost else None,
                 self.clock,
                 follows,
@@ -313,7 +314,7 @@ class Stages:
         self.place = track if measured and jump == 0 else None
         if elapsed > HOLE_INTERVALS and not (next_one and bits & VALID):
             bits |= MISSED
-        if bits & VALID and newest:  # what a witness has not seen is not confirmed
+        if bits & VALID and newest:  # no witness confirms the earlier samples of a SYNC interval
             reference.had_position = True
         feedback = self._feedback((s, c, amplitude, raw), track, bits | faults, jump)
         self._look_again(feedback)
@@ -346,7 +347,7 @@ class Stages:
         self._speed, self.was_valid = speed, valid
         if valid and len(places) > 2 and places[-1][2] > HOLE_INTERVALS:
             acceleration = speeds.acceleration(places)
-            self._speed += acceleration * (places[-1][2] - 1.0) / 2.0  # as over the last interval alone
+            self._speed += acceleration * (places[-1][2] - 1.0) / 2.0  # the speed in its last interval
         self._expect(speed + AHEAD_INTERVALS * acceleration if valid else speed)
         status = bits | self.base_status
         if self.reference.zero.referenced and not bits & LOST:
@@ -359,16 +360,17 @@ class Stages:
         return self.last
 
     def _look_again(self, feedback: Feedback) -> None:
+        # Whether the next sample can be a usual one.
         estimator, frozen = self.estimator, self._frozen
         in_doubt = (
-            estimator.in_doubt or self.reference.in_doubt or self.second is not None or self._way is not None
+            estimator.in_doubt or self.reference.in_doubt or self.second is not None or self._due is not None
         )
         faulty = self._supervision.after_fault or (frozen.repeats and not frozen.stands)
         if feedback.status & VALID and not (in_doubt or faulty or estimator.searches):
             self._usual_status = feedback.status & (VALID | TABLE_ACTIVE | REFERENCED)
 
     def is_near(self, sine: float, cosine: float, cycles: float = speeds.STILL_CYCLES) -> bool:
-        """The phase is within ``cycles`` of the last; by default: the machine has stood."""
+        """True if the phase is within ``cycles`` of the last one; by default, as at standstill."""
         return hypot(sine - self._sine, cosine - self._cosine) <= tau * cycles * hypot(sine, cosine)
 
     def repeats(self, sine: float, cosine: float) -> bool:
@@ -389,7 +391,7 @@ class Stages:
 
     @property
     def may_run(self) -> bool:
-        """:meth:`follow_run` may begin: eq. 9 needs no more than it has, and nothing is in doubt."""
+        """True if :meth:`follow_run` may begin: eq. 9 has two even samples, and nothing is in doubt."""
         doubts = (
             self.estimator.in_doubt
             or self.estimator.searches
@@ -402,10 +404,10 @@ class Stages:
     def follow_run(self, sine: AnyArray, cosine: AnyArray, run: TrackResult, scratch: Scratch) -> int:
         """:meth:`take` for a run of samples, one interval apart, that keep the limits of one sample.
 
-        Only where :attr:`may_run`. ``run.phase`` are the corrected phases; the rest of ``run`` is filled. The
-        result is the number of samples taken: those before the first with a residual over the limit (unless
-        the position is lost) or a frozen input. What only witnesses, pauses and the analog path read stays as
-        it was before: a stream that runs has none of them.
+        Only if :attr:`may_run`. ``run.phase`` holds the corrected phases; the rest of ``run`` is filled.
+        Returns the number of samples taken: those before the first with a residual over the limit (unless
+        the position is lost) or a frozen input. The state for witnesses, pauses and analog path is not
+        updated: a stream has none of them.
         """
         count_run(self._tracker, run, scratch)
         followed = self.estimator.lost or run.ok.all()
