@@ -1,4 +1,4 @@
-"""Time of each frame: one clock for SYNC, one judge. Pure arithmetic.
+"""SYNCs on their grid, and the ADC PDOs that answer them. Pure arithmetic.
 
-Nothing here knows CAN, a clock or a file: receive times and counters come as arguments.
+Nothing here knows CAN, a clock or a file: receive times and counters are arguments.
 """

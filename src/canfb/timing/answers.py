@@ -1,11 +1,11 @@
-"""Which SYNC an ADC PDO answers. It carries no mark of it: what is left is its time, and the order.
+"""Which SYNC an ADC PDO answers. The PDO does not say it; only receive times and order show it.
 
-With receive times of both: nothing answers a SYNC before the interface has measured, so a PDO is no sooner
-than the least delay so far; and a frame waits for others, some 0.1 ms each, but not a quarter of a period. So
-it answers the SYNC that was received the least delay before it, or up to LATEST more, and the jitter of SYNC
-if a timer that is locked to it takes the samples. One that fits none is not used; ROW of them with one delay
-have another one. Without receive times it answers the last SYNC.
-With a longest delay (2010:0E) it may come behind later SYNCs.
+With receive times of both, the delay from SYNC to PDO is at least the least one so far (the interface has to
+measure first), and at most longer by LATEST periods (the PDO waits for other frames, some 0.1 ms each) plus
+the jitter of SYNC (a timer locked to SYNC may take the samples). The PDO answers the SYNC to which its delay
+is in this range. A PDO that fits no SYNC is not used; ROW of them with one delay give a new least delay.
+Without receive times, a PDO answers the last SYNC.
+With a declared longest delay (2010:0E), a PDO may come after later SYNCs than its own.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ from math import inf
 from canfb.timing.grid import ROW, Grid
 from canfb.timing.syncs import Syncs
 
-SOONEST = 0.7  # of the least delay: the same frame, with other stuffing
-NOISE_S = 50e-6  # of two receive times
-# At a bus load of 30 % SYNC waits so long for frames of 135 us, in the mean: the line lies behind a timer.
+SOONEST = 0.7  # of the least delay: the same PDO may be shorter, with fewer stuff bits
+NOISE_S = 50e-6  # of the difference of two receive times
+# Mean time that SYNC waits for frames of 135 us at 30 % bus load: so much earlier than the line through the
+# received SYNCs a timer may be that runs in step with their producer.
 QUEUED_S = 20e-6
-LATEST = 0.25  # period
-WIDEST = 0.7  # period, with all of the jitter: less is left for those that are early
-FORGETTING = 1e-3  # of the difference to the present delay
+LATEST = 0.25  # periods by which a PDO may be later than the least delay
+WIDEST = 0.7  # periods: the same including the jitter; the rest of the period is left for early PDOs
+FORGETTING = 1e-3  # share of (delay - least delay) by which each PDO raises the least delay
 
 
 class Answers:
-    """``least_s`` is the shortest delay from SYNC to PDO, seconds; inf while none is known."""
+    """``least_s``: least delay from SYNC to PDO, seconds, slowly forgotten; inf while it is not known."""
 
     __slots__ = ("_longest_s", "_refused", "least_s", "synced_s", "waits")
 
@@ -34,13 +35,16 @@ class Answers:
 
     def forget(self) -> None:
         self.least_s = inf
-        # So many SYNCs may come before the answer to an earlier one; and when those were received, by place.
+        # The declared longest delay, 0.0: less than a period; and how many later SYNCs may come before the
+        # answer to a SYNC.
         self._longest_s, self.waits = 0.0, 0
-        self.synced_s: dict[int, float] = {}
-        self._refused: dict[float, float] = {}  # by the place of the next SYNC: several of one are copies
+        self.synced_s: dict[int, float] = {}  # receive times of SYNCs that may still be answered, by place
+        # Delays of the PDOs that fitted no SYNC, by the place of the next SYNC: one for each interval, since
+        # more of them in one interval are copies.
+        self._refused: dict[float, float] = {}
 
     def synced(self, place: int, synced_s: float, grid: Grid, longest_s: float) -> None:
-        """A SYNC; ``longest_s`` 0.0: less than a period."""
+        """Note a SYNC; ``longest_s``: the declared longest delay, 0.0: less than a period."""
         self._longest_s = longest_s
         latest_s = min(longest_s, self.least_s + _most_s(grid, grid.rough)) + grid.allowed
         self.waits = int(latest_s / grid.rough) if longest_s and grid.rough else 0
@@ -49,7 +53,7 @@ class Answers:
         }
 
     def is_usual(self, delay_s: float, grid: Grid) -> bool:
-        """It answers the SYNC so long before it, within the usual delay."""
+        """True if a PDO ``delay_s`` after a SYNC is its answer, with a usual delay; follows that delay."""
         later_s = delay_s - self.least_s
         if self._refused or not 0.0 <= later_s <= _most_s(grid, grid.period) or self.is_early(delay_s, grid):
             return False
@@ -57,17 +61,17 @@ class Answers:
         return True
 
     def is_early(self, delay_s: float, grid: Grid) -> bool:
-        """Its SYNC came before its place on the grid, and it sooner than from a timer: so did its sample."""
+        """True if the sample was taken at a SYNC that came before its place: a timer would answer later."""
         return grid.lead > 0.0 and delay_s + QUEUED_S < grid.lead + SOONEST * self.least_s < inf
 
     def place(self, delay_s: float, syncs: Syncs, answered: int = -1) -> int | None:
-        """Places after the last SYNC that it answers: 0 that one, -1 the one before; None: it fits none.
+        """What a PDO ``delay_s`` after the last SYNC answers: 0 that SYNC, -1 the one before; None: none.
 
-        ``delay_s`` after the last SYNC; the place that is ``answered`` needs no other. An earlier SYNC
-        counts by its receive time, where that is known.
+        ``answered`` is the last place that has its sample: another PDO for it teaches no delay. For an
+        earlier SYNC the receive time is used where it is known, else its place on the grid.
         """
         period_s = syncs.grid.period
-        if self._longest_s and not period_s:  # how many periods a delay is cannot be said yet
+        if self._longest_s and not period_s:  # a delay cannot be divided into periods yet
             return min(0, answered + 1)
         if self.least_s == inf:
             self.least_s = self._since_first(delay_s, period_s)
@@ -78,7 +82,8 @@ class Answers:
         fits = []
         for places in (newest, *near):
             later_s = delay_s - self._since_s(places, syncs, period_s) - self.least_s
-            may_come = places > 0 and later_s < (SOONEST - 1.0) * self.least_s  # a SYNC that was not received
+            # Too soon for an answer to a SYNC that was lost: that SYNC may still come.
+            may_come = places > 0 and later_s < (SOONEST - 1.0) * self.least_s
             if (-early_s <= later_s <= most_s and not may_come) or not period_s:
                 fits.append((places, later_s))
         if len(fits) == 1 and fits[0][0] > answered:
@@ -94,7 +99,7 @@ class Answers:
         return places * period_s if at_s is None else at_s - syncs.synced_s
 
     def has_moved(self, grid: Grid) -> bool:
-        """ROW were refused in a row, with much the same delay: that is the delay from now on."""
+        """True if ROW PDOs in a row fitted no SYNC and had about one delay: the least one from now on."""
         refused = self._refused
         if len(refused) < ROW:
             return False
@@ -106,9 +111,10 @@ class Answers:
         return True
 
     def _since_first(self, delay_s: float, period_s: float) -> float:
+        # As many periods more as the declared longest delay allows: the PDO may answer the earliest SYNC.
         return delay_s + max(0.0, (self._longest_s - delay_s) // (period_s or inf)) * period_s
 
 
 def _most_s(grid: Grid, period_s: float) -> float:
-    """How much later than the least a PDO may be, seconds."""
+    """By how much a delay may exceed the least one, seconds."""
     return min(LATEST * period_s + grid.allowed, WIDEST * period_s)

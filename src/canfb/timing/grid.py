@@ -1,14 +1,14 @@
-"""One grid: instants t0 + n T, each no further than the declared jitter from the line through those before.
+"""A grid of instants t0 + n T, which estimates phase and period, and finds the place n of an instant.
 
-SYNC comes at a fixed rate, and so do the samples that answer it. All that an instant says is at which place
-it is, or that it is at none:
+SYNC comes at a fixed rate, and so do the samples that answer it. An instant is within the declared jitter
+of a place, or it is off the grid:
 
-- a free place: the next one; places left out between are missing,
-- the place of the last one: a second one,
-- off the grid: nobody knows. ROW of them, regular among themselves, are the grid from there on.
+- at a free place: it is the next one; the places that were passed over are missing,
+- at the place of the last instant: it is a second one,
+- off the grid: its place is unknown. ROW of them, regular among themselves, are the new grid.
 
-The line is that of least squares, in recursive form, through the last ``memory`` instants. How far instants
-are off it is shown, and judges nothing: what was seen is no bound of what may come.
+t0 and T are a least squares fit, in recursive form, to the last ``memory`` instants. The deviation from the
+fit is measured, but never narrows what is allowed: past deviations do not bound future ones.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ import math
 from itertools import pairwise
 from statistics import linear_regression, median
 
-UNDECLARED = 0.45  # period: half a period away the next place is as near
-REGULAR = 0.2  # of the interval: 135 us of 1 ms for a frame before a SYNC, and its producer
-# Instants: the line of FIRST is within 0.25 of the rms jitter of one, per place; at LARGEST_FIRST those that
-# jitter more give their line unchanged.
+UNDECLARED = 0.45  # periods allowed if no jitter is declared; at 0.5 the next place is as near
+REGULAR = 0.2  # relative tolerance of an interval: at 1 kHz, 135 us of waiting, and jitter of the producer
+# The number of instants for the first line: FIRST if they are regular (their period then has an error of
+# 0.24 times the rms jitter of an instant), LARGEST_FIRST in any case.
 FIRST, LARGEST_FIRST = 6, 13
-CALLS, MOST_CALLS = 9, 33  # that may be late: straight enough at once, or as they are
-TOGETHER = 0.5  # of a period from one to the next: those that come faster have waited
-STRAIGHT = 0.1  # period: calls no further above their line come from a host that is not late
-ROW = 4
+CALLS, MOST_CALLS = 9, 33  # the same for calls, which may be late: if straight, and in any case
+TOGETHER = 0.5  # periods: calls that follow each other faster have queued while the host was late
+STRAIGHT = 0.1  # periods: a host is not late if no call is further above the line below them
+ROW = 4  # instants off the grid, regular among themselves, that are a new grid
 MEMORY = 256
-LEARNED = 32  # from then on it may move positions
-SHOWN = 64  # instants, over which the deviation is a mean
-SAME_PERIOD = 0.03
+LEARNED = 32  # instants after which the line is good enough to move positions
+SHOWN = 64  # instants over which the deviation is averaged
+SAME_PERIOD = 0.03  # relative difference up to which a period is the same
 
 
 class Grid:
-    """``period``, ``due`` (the next place), ``jitter`` and instants in any one unit; 0.0: not known.
+    """Instants, ``jitter``, ``period`` and ``due`` (the next place) have one unit, any; 0.0: not known.
 
-    ``lead`` is how much later than the last instant its place was, ``allowed`` how far one may be off,
-    ``deviation`` the mean of how far they are. ``row``: the last instants that were not in turn.
+    ``lead`` is place minus instant for the last one, ``allowed`` the largest distance of an instant from its
+    place, ``deviation`` the mean of that distance. ``row`` holds the instants since one was not in turn.
     """
 
     __slots__ = (
@@ -64,35 +64,35 @@ class Grid:
 
     def forget(self) -> None:
         self.period = self.deviation = 0.0
-        self.seen = 0  # Instants that carry the line.
+        self.seen = 0  # instants that the line is fitted to, at most `memory`
         self.pause()
 
     def pause(self) -> None:
-        """The period stays; the next instant gives the phase."""
+        """Keep the period; take the phase from the next instant."""
         self.due = math.nan
         self.lead = 0.0
-        self._fresh = 0
-        self._first: list[float] = []
+        self._fresh = 0  # instants since the phase was forgotten
+        self._first: list[float] = []  # instants before the first line
         self._end_row()
         self._find_gains()
 
     def _end_row(self) -> None:
         self.row: list[float] = []
-        self._in_turn: list[bool] = []  # whether each of the row was
-        self.early = 0  # Of the row, by calls.
+        self._in_turn: list[bool] = []  # for each instant of the row
+        self.early = 0  # calls of the row that were earlier than this grid allows
 
     @property
     def locked(self) -> bool:
-        """The line is good enough to move positions by it."""
+        """True if the line is good enough to move positions by it."""
         return self.seen >= LEARNED
 
     @property
     def rough(self) -> float:
-        """The period, or while it is not known the median of the intervals so far; 0.0: none."""
+        """The period; before it is known, the median of the intervals so far; 0.0: none yet."""
         return self.period or (_median_apart(self._first) if len(self._first) > 1 else 0.0)
 
     def declare(self, jitter: float) -> None:
-        """No instant is further from its place than this; 0.0: not declared."""
+        """Set ``jitter``, the largest distance of an instant from its place; 0.0: not declared."""
         self._jitter = jitter
         self._find_gains()
 
@@ -111,7 +111,10 @@ class Grid:
             self.set_again(first[-FIRST:])
 
     def learn_earliest(self, instant: float, expected: float = 0.0) -> None:
-        """The same for instants that may be late: the line below them; not far below ``expected``."""
+        """:meth:`learn` for calls, which may be late: fit the line below them.
+
+        ``expected`` is the period known from elsewhere, 0.0: none; a much shorter one is not taken.
+        """
         first = self._first
         first.append(instant)
         del first[:-MOST_CALLS]
@@ -119,19 +122,19 @@ class Grid:
             line = _lowest(first)
             if not _waited(line, first, expected, True):
                 self.set_again(line)
-                self.seen = 2  # the two that it lies on: one of eight calls follows
+                self.seen = 2  # the line goes through two calls; after this one call in eight feeds it
                 self._find_gains()
 
     def nearest(self, instant: float) -> tuple[int, float]:
-        """Places from the last one to the nearest, and how much later than that the instant is."""
+        """Places from the last one to the nearest one, and instant minus place."""
         later = instant - self.due
         places = round(later / self.period)
         return places + 1, later - places * self.period
 
     def follow(self, places: int, off: float, elapsed: int = 0) -> None:
-        """An instant was taken ``places`` after the last, ``off`` its own.
+        """Fit the line to an instant, ``places`` after the last one and ``off`` its own place.
 
-        ``elapsed``: the line has grown by that many places since the last call, if not by ``places``.
+        ``elapsed``: places since the last fit, where that is not ``places``.
         """
         if self._fresh < self.memory:
             self._fresh += 1
@@ -144,7 +147,10 @@ class Grid:
         self.deviation += (abs(off) - self.deviation) * self._shown
 
     def take(self, instant: float, in_turn: bool = True) -> None:
-        """An instant that is right, however far it is off the line: that goes on, or begins again there."""
+        """Use an instant that is right, near the line or not: fit the line to it, or begin a new one there.
+
+        ``in_turn`` False: it belongs to another grid.
+        """
         if math.isnan(self.due):
             self.begin(instant)
         elif not self.period:
@@ -160,23 +166,23 @@ class Grid:
                 self.skip(max(places, 0), off)
 
     def skip(self, places: int, off: float = 0.0) -> None:
-        """Places passed, and nothing is known of them; or an instant of one was ``off``."""
+        """Pass ``places`` without a fit; ``off``: distance of an instant that is not used."""
         self.due += places * self.period
         self.lead = -off
 
     def refuse(self, instant: float) -> bool:
-        """An instant that was not in turn; True if the last ROW are another grid: :meth:`set_again`.
+        """Note an instant that was not in turn; True if the last ROW are another grid: :meth:`set_again`.
 
-        They are regular, and none was in turn, or they are not one period apart.
+        They are if they are regular, and none was in turn or their interval is not the period.
         """
         self._keep(instant, False, ROW)
         return len(self.row) == ROW and is_regular(self.row) and self._is_another
 
     def refuse_call(self, instant: float, early: bool, expected: float = 0.0) -> bool:
-        """The same for one that may be late, but not ``early`` on this grid.
+        """:meth:`refuse` for a call, which may be late, but cannot be ``early`` on its own grid.
 
-        FIRST with early ones are another grid if they lie on a line, and CALLS that are all late; MOST_CALLS
-        are it as they are. None that waited for the host together are.
+        Another grid: FIRST calls on a line if several were early, else CALLS on a line, or the line below
+        MOST_CALLS. Calls that have queued are no grid. ``expected`` as in :meth:`learn_earliest`.
         """
         self.early += early
         self._keep(instant, False, MOST_CALLS)
@@ -196,7 +202,10 @@ class Grid:
         return not any(self._in_turn) or abs(_median_apart(self.row) / self.period - 1.0) > REGULAR
 
     def is_in_turn(self, instant: float, may_be_late: bool = False) -> None:
-        """An instant was; the row is over if the one before was, too, or if all of them may only be late."""
+        """Note an instant that was in turn. It ends the row if the one before was in turn, too.
+
+        With ``may_be_late`` it also ends a row of calls of which none was early: they were only late.
+        """
         if not self.row or self._in_turn[-1] or (may_be_late and not self.early):
             self._end_row()
         else:
@@ -208,9 +217,9 @@ class Grid:
         del self.row[:-most], self._in_turn[:-most]
 
     def set_again(self, instants: list[float]) -> bool:
-        """These regular instants are the grid; True if its period is another one."""
+        """Fit the line to these regular ``instants``; True if the period has changed."""
         apart = _median_apart(instants)
-        if not apart > 0.0:  # frames of one instant say nothing of a period
+        if not apart > 0.0:  # frames with one instant show no period
             self._first = instants[-1:]
             return False
         places = [0.0]
@@ -229,6 +238,8 @@ class Grid:
         return not same
 
     def _find_gains(self) -> None:
+        # Gains of recursive least squares after n instants. `allowed` is the jitter with a margin for the
+        # error of the line, which shrinks as 1 / sqrt(n).
         n = max(self.seen, 2)
         self._phase = max((4 * n - 2) / (n * (n + 1)), 1.0 / max(self._fresh, 1))
         self._slope = 6.0 / (n * (n + 1))
@@ -239,7 +250,7 @@ class Grid:
 
 
 def _lowest(instants: list[float]) -> list[float]:
-    """As many on the line below these: the side of their lower hull over the middle."""
+    """As many instants on the line below these: the side of their lower convex hull below the middle one."""
     hull: list[tuple[int, float]] = []
     for c in enumerate(instants):
         while len(hull) > 1 and _is_above(hull[-2], hull[-1], c):
@@ -251,7 +262,10 @@ def _lowest(instants: list[float]) -> list[float]:
 
 
 def _waited(line: list[float], calls: list[float], period: float, early: bool) -> bool:
-    """So fast another grid is only if all MOST_CALLS are, some of them ``early``."""
+    """True if the calls on ``line`` follow each other too fast for a grid: they have queued.
+
+    They have not if all of MOST_CALLS are as fast, and ``early``: several were early.
+    """
     apart, all_apart = ((one[-1] - one[0]) / (len(one) - 1) for one in (line, calls))
     return apart < TOGETHER * period and (
         not early or len(calls) < MOST_CALLS or all_apart >= TOGETHER * period
@@ -272,7 +286,7 @@ def _median_apart(instants: list[float]) -> float:
 
 
 def is_regular(instants: list[float], most: int = 1) -> bool:
-    """Whether their intervals agree with each other; one may be of ``most`` places."""
+    """True if the intervals agree with each other; an interval may have up to ``most`` places."""
     middle = _median_apart(instants)
     if middle <= 0.0:
         return False

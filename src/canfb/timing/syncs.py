@@ -1,10 +1,10 @@
-"""SYNCs on their grid: how many intervals have passed, which samples are missing, which instant is bad.
+"""SYNCs on their grid: how many intervals have passed, which SYNCs are missing, which one is off its place.
 
-With receive times a SYNC lies on the grid (:mod:`canfb.timing.grid`), or off it (docs/time.md). Without them
-the call is only the latest time of the frame: SYNCs are counted in their order, with their counter where they
-have one, and the line follows the earliest of TOGETHER calls. One that is late by a turn of its counter,
-without one by a period, may come after others that were lost: nothing is valid until one is in time again.
-Those that stay late show that SYNCs are missing. Doubt is speed times intervals: at standstill it is zero.
+With receive times, a SYNC is on the grid (:mod:`canfb.timing.grid`) or off it (docs/time.md). Without them,
+the call is an upper bound of the instant: SYNCs are counted in their order, by their counter if they have
+one, and the line is fitted to the earliest of TOGETHER calls. Before a SYNC that is late by a period (with a
+counter: by a turn of it) others may have been lost: no position is valid until a SYNC is in time again. If
+all stay late, SYNCs were lost. Doubt about a position is speed times intervals: zero at standstill.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from typing import NamedTuple
 
 from canfb.timing.grid import Grid
 
-USUAL_JITTER_S = 0.2e-3  # a frame before it at 1 Mbit/s, and 65 us of producer and receive time
-SAME_FRAME_S = 47e-6  # the shortest frame at 1 Mbit/s: no SYNC comes sooner after another
-TOGETHER = 8
+USUAL_JITTER_S = 0.2e-3  # 135 us for a frame before it at 1 Mbit/s, 65 us of producer and receive time
+SAME_FRAME_S = 47e-6  # the shortest frame at 1 Mbit/s: a second SYNC cannot be sooner
+TOGETHER = 8  # calls, the earliest of which the line is fitted to
 HALF = 0.5
-LATE = 0.9  # of a turn
-EARLY = 0.2  # of a period: the line follows the earliest of eight calls, which may be late, too
-FASTER = 0.75  # of a period: without receive times, early SYNCs of another rate
+LATE = 0.9  # periods, plus the rest of a turn of the counter: lateness behind which SYNCs may be lost
+EARLY = 0.2  # periods: the line follows the earliest of eight calls, which may be late itself
+FASTER = 0.75  # periods: without receive times, a SYNC sooner after another one is an extra one
 MOST_INTERVALS = 1 << 20
-UNSETTLED_S = 0.5  # taken for a period where none is known
+UNSETTLED_S = 0.5  # used for the period while it is not known
 
 
 class SyncVerdict(NamedTuple):
     """What a SYNC shows.
 
-    lost      SYNCs before it that were not received
-    extra     no sample is to be expected for it; ``repeated``: nothing is to be done with it
-    off       how far its instant is off its place, intervals; 0.0: on the grid, and nothing is open
-    doubt     intervals that may have passed unnoticed; 0.0: none
+    lost      number of SYNCs before it that were not received
+    extra     it has no sample; ``repeated``: it is a copy of the last one, to be ignored
+    off       distance from its place, intervals; 0.0: on the grid, and so were those before
+    doubt     number of intervals that may have passed unnoticed
     """
 
     lost: int = 0
@@ -42,19 +42,19 @@ class SyncVerdict(NamedTuple):
     doubt: float = 0.0
 
 
-USUAL = SyncVerdict()  # On time, in turn after another, and nothing is open.
-ON_TIME = SyncVerdict()
+USUAL = SyncVerdict()  # by identity: in time, in turn, in no need of judgement
+ON_TIME = SyncVerdict()  # equal to USUAL, after a judgement
 EXTRA = SyncVerdict(extra=True)
 REPEATED = SyncVerdict(extra=True, repeated=True)
-# With it the places by which the line goes on, 0: not by this SYNC, and how far off it is, seconds.
+# The verdict; places from the last SYNC for the fit of the line, 0: not fitted; distance from the place, s.
 Judged = tuple[SyncVerdict, int, float]
 
 
 class Syncs:
-    """Give each SYNC to :meth:`sync`: its time in seconds, any number, and whether the bus gave it.
+    """Give each SYNC to :meth:`sync`: its time, seconds, any float; ``stamped`` if it is a receive time.
 
-    ``place`` counts SYNCs, received or not; ``synced_s`` is when the last one was received. ``until`` is the
-    time after which the position is not valid without another SYNC, inf while nothing is expected.
+    ``place`` counts SYNCs, received or not; ``synced_s`` is the time of the last one. Without another SYNC
+    the position is valid up to ``until``, inf while none is expected.
     """
 
     __slots__ = (
@@ -84,11 +84,11 @@ class Syncs:
 
     def __init__(self) -> None:
         self.grid = Grid(jitter=USUAL_JITTER_S)
-        self.overflow = 0  # SYNC counter overflow (1019h).
+        self.overflow = 0  # synchronous counter overflow value (1019h)
         self._periods = 2
         # Called as (time_s, stamped) with every TOGETHER-th usual SYNC.
         self.on_followed: Callable[[float, bool], None] | None = None
-        # The period that others say, while none is known; 0.0: nobody does.
+        # The period by sample times or 1006h, for calls before the first line; 0.0: not known.
         self.expected_s: Callable[[], float] = lambda: 0.0
         self.place = 0
         self.pause()
@@ -99,26 +99,26 @@ class Syncs:
         self._low_s, self._high_s = inf, -inf
 
     def forget(self) -> None:
-        """Another producer may send SYNC from now on."""
+        """Forget phase and period: another producer may send SYNC from now on."""
         self.grid.forget()
         self.pause()
 
     def pause(self) -> None:
-        """The next SYNC begins; the period is kept."""
+        """Keep the period; the next SYNC gives the phase."""
         self.grid.pause()
         self.until = inf
         self.begun = self.stamped = False
-        self.extra_came = False  # Since the last SYNC: the interface may answer it.
-        self.extra_after = 0.0  # Periods from the last SYNC to the extra one.
-        # So late is a SYNC without receive time that others may be lost before it; 0.0: it is in time.
+        self.extra_came = False  # an extra SYNC came since the last one: the interface may answer it
+        self.extra_after = 0.0  # periods from the last SYNC to the extra one
+        # Lateness of the last SYNC, without receive time, if others may be lost before it; 0.0: in time.
         self.late_s = 0.0
-        self.synced_s = self._received_s = 0.0  # the last one, and with extra ones
-        self._next_counter: int | None = None  # None: the last SYNC had none
-        self._grouped, self._earliest_s = 0, inf
+        self.synced_s = self._received_s = 0.0  # time of the last SYNC; the same counting extra ones
+        self._next_counter: int | None = None  # None: the last SYNC had no counter
+        self._grouped, self._earliest_s = 0, inf  # SYNCs of this group; the least distance from their places
         self._valid_s = inf  # from a SYNC to `until`
-        self._low_s, self._high_s = inf, -inf  # off the place, of a SYNC that needs no judgement
-        self._assumed = False  # the last place was never received: its PDO came
-        # Nor did that come: where samples are timed the next SYNC may be of another rate.
+        self._low_s, self._high_s = inf, -inf  # distance from its place of a SYNC that needs no judgement
+        self._assumed = False  # the last place was passed without its SYNC
+        # The same by time-out, with sample times: the next SYNC may have another rate.
         self._was_overdue = False
 
     def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
@@ -166,7 +166,7 @@ class Syncs:
         grid = self.grid
         self._low_s, self._high_s = inf, -inf
         counted = self._next_counter is not None and self.overflow > 1
-        # With one period alone, the next may be late.
+        # With 2010:06 = 1 the next SYNC may be late by its jitter.
         late_s = grid.allowed if self._periods == 1 else 0.0
         self._valid_s = self._periods * (grid.period or UNSETTLED_S) + late_s
         if grid.period and not (self.late_s or grid.row or self.extra_came):
@@ -192,7 +192,7 @@ class Syncs:
         return (self._by_time if stamped else self._by_order)(time_s, missing)
 
     def _missing(self, counter: int | None) -> int | None:
-        """SYNCs before this one by the counter, modulo its turn; None: nothing is known."""
+        """SYNCs missing before this one by the counter, modulo its turn; None: not known."""
         if counter is None or self._next_counter is None or self.overflow < 2:
             return None
         return (counter - self._next_counter) % self.overflow
@@ -221,15 +221,15 @@ class Syncs:
         if contradicts and missing is not None:
             counted = missing + self.overflow * round((places - 1 - missing) / self.overflow) + 1
             doubt = float(abs(counted - places))
-            if not on and doubt <= 1.0:  # between two places the counter says which
+            if not on and doubt <= 1.0:  # between two places: the counter decides
                 if counted < 1:
                     return self._extra(time_s)
                 places, doubt = counted, 0.0
             grid.skip(places)
             return self._taken(True, max(0, min(places, counted) - 1), abs(off_s) / grid.period, doubt)
-        # A line through a few instants that jitter may be off by a place.
+        # A line through a few instants with jitter may be wrong by a place.
         doubt = float(missing is None and not grid.locked and (places > 1 or not on))
-        # After one that was not in turn, a place may be hit by chance: by a producer at another rate.
+        # In a row of instants off the grid, one of a producer at another rate may hit a place by chance.
         verdict, _, _ = self._taken(True, places - 1, abs(off_s) / grid.period if grid.row else 0.0, doubt)
         if not on:
             grid.skip(places)
@@ -238,7 +238,7 @@ class Syncs:
     def _extra(self, time_s: float) -> Judged:
         self._received_s, self.extra_came = time_s, True
         self.extra_after = abs(time_s - self.synced_s) / self.grid.period
-        # Its answer came before it; or it is the next one, and the line is late.
+        # Doubt: it may be the SYNC of the assumed place, or the next SYNC, with a line that is not exact yet.
         return EXTRA._replace(doubt=float(self._assumed or not (self.stamped and self.grid.locked))), 0, 0.0
 
     def _set_again(self, places: int, off_s: float) -> Judged:
@@ -249,7 +249,7 @@ class Syncs:
         self._grouped, self._earliest_s = 0, inf
         return self._taken(self.stamped, 0 if changed else max(0, places - 1), doubt=doubt)
 
-    # Without.
+    # Without receive times.
 
     def _by_order(self, time_s: float, missing: int | None) -> Judged:
         grid, lost = self.grid, missing or 0
@@ -257,14 +257,14 @@ class Syncs:
         late_s = time_s - grid.due - lost * grid.period
         most = turn - 1 + (HALF if self.late_s or self.extra_came else LATE)
         early, late = late_s < self._early_s(missing is not None), late_s > most * grid.period
-        if early and self._assumed and missing == turn - 1:  # it was overdue, and comes: the place is its own
+        if early and self._assumed and missing == turn - 1:  # the SYNC of the assumed place, late
             self.place -= 1
             grid.skip(-1)
             return self._by_order(time_s, 0)
         if early and missing:
-            # It was due much later: a counter that jumped, or one of another producer.
+            # By its counter it is due much later: the counter jumped, or is that of another producer.
             doubt, lost, late_s = float(lost), 0, time_s - grid.due
-        else:  # the line is good for as many places ahead as it was learned from
+        else:  # the line predicts as many places as it was fitted to: TOGETHER for each call seen
             ahead = late_s / (TOGETHER * grid.seen * grid.period)
             doubt = ahead if missing is None and ahead > 1.0 else 0.0
         in_time = not (early or late or self.extra_came or self._was_overdue)
@@ -275,11 +275,11 @@ class Syncs:
         if early and missing is None and time_s - self._received_s < FASTER * grid.period:
             return self._extra(time_s)
         if not late and self.late_s and late_s < HALF * grid.period:
-            self.late_s = 0.0  # all came
+            self.late_s = 0.0  # in time again: none was lost
         elif late or self.late_s:
             self.late_s = max(late_s, grid.period * 1e-9)
         verdict, _, _ = self._taken(False, lost, -late_s / grid.period if early else 0.0, doubt)
-        if in_time and late_s < LATE * grid.period:  # a host that is late says nothing of the grid
+        if in_time and late_s < LATE * grid.period:  # the call of a late host does not show the grid
             return verdict, 1 + lost, late_s
         grid.skip(1 + lost)
         return verdict, 0, 0.0
@@ -290,7 +290,7 @@ class Syncs:
         return verdict._replace(doubt=max(1.0, verdict.doubt)), 0, 0.0
 
     def _early_s(self, counted: bool) -> float:
-        """Off its place, of a SYNC that is early: as no counter says that it is the next one."""
+        """Distance from its place, s, below which a SYNC is early; ``counted``: it has a counter."""
         period_s = self.grid.period
         return -HALF * period_s if counted else -max(self.grid.allowed, EARLY * period_s)
 
@@ -308,7 +308,10 @@ class Syncs:
         self.until = self.synced_s + self._valid_s
 
     def overdue(self, now: float, timed: bool = False) -> bool:
-        """No SYNC for so long; the places up to ``now`` passed. False where the period is not known."""
+        """``until`` passed without a SYNC: pass the places before ``now``. False if the period is not known.
+
+        ``timed``: samples bring their time.
+        """
         period_s = self.grid.period
         if not period_s or not self.begun or not isfinite(now):
             self.until = inf
