@@ -1,7 +1,7 @@
-"""Which frames make a sample, one for each SYNC, and what becomes of it, or of its absence.
+"""From frames to samples: which RPDOs make a sample, which SYNC it answers, and which SYNCs have none.
 
-Each place of SYNC is accounted for once: by its sample, or as missed. A usual sample is two counts, and
-perhaps their time, which go to the chain as they stand in the dictionary; all others are a :class:`Sample`.
+Each SYNC is accounted for once, by its sample or as missed. A usual sample (two counts, perhaps with their
+time, in turn) goes from the dictionary straight to the stages; any other becomes a :class:`Sample`.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from canfb.timing.answers import Answers
 from canfb.timing.syncs import USUAL, Syncs, SyncVerdict
 
 COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
-TOGETHER = 0.5  # of a period: parts of one sample; those of the next are as far from them
-CAME = -2  # in place of a number of an RPDO
-MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
+TOGETHER = 0.5  # periods within which all parts of a sample come; later ones are nearer to the next sample
+CAME = -2  # in `Pairing.usual`, in place of the number of an RPDO: that RPDO has come
+MOST_MISSED = 256  # missed samples that are counted one by one; more than 2010:03 can bridge
 
 
 class Pairing(ProcessData):
     """SYNCs and RPDOs in, feedback out. All times are receive times where the bus gives them.
 
-    With a ``source`` it answers each SYNC, and RPDOs do not. ``observers`` see samples and misses.
+    A ``source``, if any, provides the samples instead of RPDOs. ``observers`` see samples and misses.
     """
 
     def __init__(
@@ -66,31 +66,31 @@ class Pairing(ProcessData):
         self._longest_answer.on_written = self._answers_changed
         sample_input.on_mixed = self.count_bad_frame
         chain.on_unit = limits.unit_changed
-        self.unconfirmed = 0  # Samples after a pause that are not called valid yet.
-        self.on_first: Callable[[float], None] = lambda now: None  # the first sample since OPERATIONAL
+        self.unconfirmed = 0  # samples after a pause that are still to be withheld
+        self.on_first: Callable[[float], None] = lambda now: None  # called before the first sample
         self.begin()
 
     def begin(self) -> None:
-        self.sampled = False  # A sample came since OPERATIONAL.
-        self._sample_came = 0  # since the last SYNC; with their times, how many
+        self.sampled = False  # a sample came since OPERATIONAL
+        self._sample_came = 0  # samples since the last SYNC; without sample times at most 1
         self._synced = False  # a SYNC came since OPERATIONAL
-        self._stale = False  # what synchronous RPDOs hold is of an unknown interval
-        # So far off the grid was the last sample taken, intervals; and its tracks came then.
+        self._stale = False  # synchronous RPDOs hold data of an unknown interval
+        # Distance of the last sampling instant from the grid, intervals; and when the last tracks came.
         self._off, self._came_s = 0.0, -NEVER
-        self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
-        self._moves = False  # and it moved since, by a speed that a wrong interval does not hide
-        self._begun_s = 0.0  # when the first part of the sample came
-        self._elapsed = 0.0  # intervals up to the tracks that have come, before the other parts; 0.0: none
-        self._tracks = 0, 0  # the counts of those
-        # The RPDO that may bring a usual sample of the last SYNC; CAME: it has, and nothing since.
+        self._ambiguous = False  # the last tracks came when another SYNC was due: that SYNC decides
+        self._moves = False  # the machine has moved since, so fast that the choice of the SYNC matters
+        self._begun_s = 0.0  # when the first part of the present sample came
+        self._elapsed = 0.0  # intervals up to tracks that wait for the other parts; 0.0: none wait
+        self._tracks = 0, 0  # the counts of these tracks
+        # The RPDO that may bring a usual sample of the last SYNC; CAME: it has, with nothing unusual since.
         self.usual = NO_RPDO
         self.syncs.pause()
         self._input.begin()
-        self._accounted = self._answered = self.syncs.place  # the last with a sample or a miss; a sample
+        self._accounted = self._answered = self.syncs.place  # last place with a sample or a miss; a sample
 
     @property
     def timed(self) -> bool:
-        """Each sample brings its time, better than any reception."""
+        """True if each sample brings its time."""
         return self._input.timed if self._source is None else self._source.source_time_s is not None
 
     def count_bad_frame(self) -> None:
@@ -105,16 +105,16 @@ class Pairing(ProcessData):
     # SYNC.
 
     def idle_sync_received(self, counter: int | None) -> None:
-        """A SYNC in PRE-OPERATIONAL: the first samples are judged by a period that is known."""
+        """Feed the grid in PRE-OPERATIONAL: the period is known when the first sample comes."""
         syncs, call = self.syncs, self._call
         syncs.overflow = self._overflow.value
         syncs.sync(call.received, call.is_stamped, counter)
         syncs.until = NEVER
 
     def synchronise(self, counter: int | None, now: float, waiting: Sequence[HeldRpdo]) -> int:
-        """A SYNC: the interval before it is over, unless it is an extra one.
+        """A SYNC ends the interval before it, unless it is an extra one.
 
-        With 2013:01 the TPDOs get the position of this SYNC; the sample of a source belongs to it anyway.
+        With 2013:01 the TPDOs get the position extrapolated to this SYNC; a source samples at it anyway.
         """
         syncs, call = self.syncs, self._call
         if counter is not None:
@@ -143,23 +143,23 @@ class Pairing(ProcessData):
         waiting: Sequence[HeldRpdo],
         after_extra: bool,
     ) -> None:
-        """The interval before this SYNC is over; the next may bring a usual sample, or may not."""
+        """Account for the interval before this SYNC; find out if the next one may bring a usual sample."""
         syncs, parts, source = self.syncs, self._input, self._source
         place, late = syncs.place, syncs.late_s > 0.0
         if verdict is not USUAL:
             self._limits.follow()
         if longest_s := self._longest_answer.value:
             self.answers.synced(place, syncs.synced_s, syncs.grid, longest_s * syncs.stamped)
-        due = place - 1 - self.answers.waits  # the last place whose sample had to come
+        due = place - 1 - self.answers.waits  # the last place whose sample should have come by now
         if verdict != USUAL or late or waiting or self._ambiguous or due > self._accounted:
             self._account(verdict, counter, now, waiting, due)
-        self._off = verdict.off  # a sample that waited for this SYNC is of the one before
+        self._off = verdict.off  # not earlier: a sample that took effect in _account answers the SYNC before
         if self._second.number is not None:
             self._second.interval_over(not (verdict.lost or late or after_extra))
         if parts.is_synchronous and self.sampled and self._synced and source is None:
             if not (self._sample_came or self._elapsed):
                 self._miss_to(place, now)
-            self._accounted = place  # by what came, if only at an extra SYNC before
+            self._accounted = place  # by the sample that came, perhaps at an extra SYNC before
         if not (parts.arrived and self.answers.waits):
             self._end_parts(now)
         self._sample_came, self._stale = 0, False
@@ -173,13 +173,14 @@ class Pairing(ProcessData):
             self.usual = parts.usual
 
     def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[HeldRpdo]) -> int:
-        """It comes too early for the sampling, and brings no sample (2012:0D). PDOs follow unless it is one
-        of the bus twice; the position is withheld if the machine moves.
+        """A SYNC that is too early, and has no sample: count it in 2012:0D.
+
+        PDOs are synchronised by it unless it is a copy. The position is withheld if the machine moves.
         """
         parts, syncs = self._input, self.syncs
         _count(self._duplicate_syncs)
         follows = not verdict.repeated
-        self._stale |= follows and parts.is_synchronous and not parts.timed  # may answer either
+        self._stale |= follows and parts.is_synchronous and not parts.timed  # they may answer either SYNC
         if follows and self._chain.slips(syncs.extra_after):
             self._publishing.withhold()  # the position is that of the SYNC before
         if verdict.doubt and not self.timed:
@@ -190,7 +191,7 @@ class Pairing(ProcessData):
             rpdo.synchronise(now)
         self._stale = False
         if self._prediction.extrapolates and self._source is None:
-            self._publishing.withhold()  # no sample belongs to it, and so none is extrapolated to it
+            self._publishing.withhold()  # this SYNC has no sample: the position cannot be extrapolated to it
         return FOLLOWED
 
     def _account(
@@ -202,28 +203,28 @@ class Pairing(ProcessData):
             if parts.is_ambiguous and not parts.timed:
                 self.count_bad_frame()
                 self._stale = True
-            chain = self._chain  # at rest it makes no difference
+            chain = self._chain  # the interval of the data matters only if the machine moves
             self._stale |= unsure and (not chain.begun or chain.lost or chain.displaces(1.0))
         if unsure:
             self._publishing.withhold()
         if lost := verdict.lost:
             _count(self._lost_syncs, lost * self.sampled)
-            heard = counter is None and self.timed and not (parts.is_synchronous or self.answers.waits)
-            self._accounted += lost if heard else self._heard_of(lost)
+            by_times = counter is None and self.timed and not (parts.is_synchronous or self.answers.waits)
+            self._accounted += lost if by_times else self._answered_of(lost)
         doubt = verdict.doubt or (verdict.lost if self._ambiguous else 0.0)
         self._ambiguous = False
-        if doubt and not self.timed:  # sample times know how long it was
+        if doubt and not self.timed:  # sample times measure the interval themselves
             self._lose_count(doubt, now)
         if parts.is_synchronous and due > self._accounted:
             self._miss_to(due, now)
-        for rpdo in waiting:  # where tracks do not wait, the sample is from before those that are missing
+        for rpdo in waiting:  # if the tracks did not wait for SYNC, their sample precedes the missed ones
             rpdo.synchronise(now)
         self._miss_to(max(due, self._accounted), now)
 
-    def _heard_of(self, unheard: int) -> int:
-        """How many SYNCs not received are answered, by several samples with their time since the last one."""
-        # Answers that may come behind later SYNCs are placed by themselves.
-        answered = 0 if self.answers.waits else max(0, min(unheard, self._sample_came - 1))
+    def _answered_of(self, lost: int) -> int:
+        """How many of the SYNCs that were not received are answered by samples since the last SYNC."""
+        # Answers that may come after later SYNCs are paired one by one, in _answered_sync.
+        answered = 0 if self.answers.waits else max(0, min(lost, self._sample_came - 1))
         self._sample_came -= answered
         return answered
 
@@ -238,25 +239,25 @@ class Pairing(ProcessData):
         if not self.sampled:
             return
         was_lost = self._chain.lost
-        # Of a position that is lost it makes no difference how long it has been.
+        # More than MOST_MISSED lose the position, and a lost one does not depend on how many were missed.
         for left in range(min(samples, MOST_MISSED) - 1, -1, -1):
             self._publishing.publish(self._chain.miss(), now, send=not (left or was_lost))
             for _ in range(self._interval.samples_per_sync):
                 self._observers.miss()
 
     def overdue(self, now: float) -> bool:
-        """No SYNC and no sample for 2010:06 periods; False where the length of a period is not known."""
+        """No SYNC and no sample for 2010:06 periods: count them as missed. False: unknown period."""
         syncs = self.syncs
         self.usual = NO_RPDO
         if not self.sampled:
-            self.begin()  # nothing is counted yet: the next SYNC is the first
+            self.begin()  # there is nothing to count yet: the next SYNC is the first
         if not syncs.overdue(now, self.timed):
             return False
         if self._ambiguous and not self.timed:
-            self._lose_count(1.0, now)  # which of them the last sample answers stays open
+            self._lose_count(1.0, now)  # no SYNC came that decides which one the last sample answers
         if self._elapsed:
             self._end_parts(now)
-        self._accounted += self._heard_of(syncs.place - self._accounted)
+        self._accounted += self._answered_of(syncs.place - self._accounted)
         self._miss_to(max(syncs.place - self.answers.waits, self._accounted), now)
         self._ambiguous = False
         self._stale = self._input.is_synchronous
@@ -268,9 +269,9 @@ class Pairing(ProcessData):
         self.count_bad_frame()
 
     def rpdo_received(self, number: int, now: float) -> None:
-        """RPDO ``number``, or its data at a SYNC: a sample, a part of it, or the other sensor.
+        """RPDO ``number`` brings a sample, a part of one, or the position of the other sensor.
 
-        A usual sample is that of the last SYNC, in time, and without more than two counts and their time.
+        A usual sample is two counts, perhaps with their time, which answer the last SYNC in time.
         """
         parts, syncs, call, feedback = self._input, self.syncs, self._call, None
         stamped = call.is_stamped
@@ -314,14 +315,14 @@ class Pairing(ProcessData):
         if number == parts.judged:
             elapsed = self._judged(now)
             if elapsed is None:
-                parts.is_mixed |= parts.arrived != 0  # its tracks stand in 2000h, in place of others
+                parts.is_mixed |= parts.arrived != 0  # refused tracks have overwritten the sample in 2000h
                 return
             self._elapsed, self._tracks = elapsed, (parts.sine.value, parts.cosine.value)
         if number == parts.alone or parts.take(number):
             self._complete(parts.sample(), now)
 
     def _end_parts(self, now: float) -> None:
-        """No more of them come: tracks without the rest of their sample are a missed one."""
+        """Give up a sample that is not complete: tracks without the other parts are a missed sample."""
         if self._input.arrived and self._input.give_up():
             self.count_bad_frame()
         if self._elapsed and self.sampled and self._synced:
@@ -331,12 +332,12 @@ class Pairing(ProcessData):
     def _judged(self, now: float) -> float | None:
         call, syncs, answers, chain = self._call, self.syncs, self.answers, self._chain
         place, parts = syncs.place, self._input
-        rests = not (chain.lost or chain.slips(1.0))  # which SYNC it answers is the same
+        rests = not (chain.lost or chain.slips(1.0))  # then it does not matter which SYNC it answers
         next_may_have_come = not rests and call.received >= syncs.grid.due - syncs.grid.allowed
         if not self._synced:
-            if answers.waits:  # it answers a SYNC before the start
+            if answers.waits:  # it may answer a SYNC before the start
                 return None
-            verdict = syncs.sync(call.received, call.is_stamped, None)  # each is its own
+            verdict = syncs.sync(call.received, call.is_stamped, None)  # no SYNCs: the sample is its own
             if verdict is not USUAL:
                 self._limits.follow()
             place = syncs.place if not verdict.extra else self._answered
@@ -351,7 +352,7 @@ class Pairing(ProcessData):
             if answers.has_moved(syncs.grid):
                 self._lose_count(1.0, now)
             elif later is None and next_may_have_come:
-                self._publishing.withhold()  # it may answer a SYNC that was not received
+                self._publishing.withhold()  # the sample may answer a SYNC that was not received
             free = later is not None and place + later > self._accounted
             if rests and not (free or answers.waits):
                 later = 0
@@ -359,13 +360,13 @@ class Pairing(ProcessData):
                 self.count_bad_frame()
                 return None
             if later and later > 0:
-                self._pass_lost(later, now)  # it may still come
+                self._pass_lost(later, now)  # or is that SYNC only late?
                 self._ambiguous = call.received < syncs.grid.due - syncs.grid.period + syncs.grid.allowed
-            place += later or 0  # None: one more for a SYNC that has its sample
+            place += later or 0  # None: the last SYNC has its sample already
         elif syncs.grid.period:
             self._ambiguous = call.received >= syncs.grid.due
             soonest_s = self._came_s + (place - self._answered - 0.5) * syncs.grid.period
-            if place - self._answered > 1 and call.received < soonest_s:  # that of the SYNC before, late
+            if place - self._answered > 1 and call.received < soonest_s:  # a late answer to the SYNC before
                 self._lose_count(1.0, now)
         self._came_s = call.received
         if place > (self._answered if rests else self._accounted) or not self.sampled:
@@ -378,7 +379,7 @@ class Pairing(ProcessData):
                 self._moves |= not self._stages.is_near(*counts, SLIP_CYCLES)
                 self._lose_count(1.0, now)
             elif next_may_have_come:
-                self._publishing.withhold()  # equal counts may be whole cycles further on
+                self._publishing.withhold()  # a new sample whole cycles further has equal counts
         return None
 
     def _answer(self, place: int) -> float:
@@ -387,7 +388,7 @@ class Pairing(ProcessData):
         return float(elapsed)
 
     def _pass_lost(self, syncs: int, now: float) -> None:
-        """So many SYNCs were not received, and these tracks answer the last of them."""
+        """Pass ``syncs`` that were not received; the tracks that came answer the last of them."""
         self.syncs.advance(syncs)
         self._end_parts(now)
         _count(self._lost_syncs, syncs * self.sampled)
@@ -414,21 +415,23 @@ class Pairing(ProcessData):
         self._out(sample, feedback, now)
 
     def _timed(self, sample: Sample, now: float) -> None:
-        """By its time a sample is the next one, for any time of reception; an earlier one again is not used,
-        nor one that is too near to the last, though it did come.
+        """Take a sample by its own time, whenever it was received.
+
+        One with the time of an earlier sample is not used. One that is too near to the last is not used,
+        either, but accounts for its SYNC.
         """
         call, syncs, source = self._call, self.syncs, self._source
-        place, received_s, synced_s = syncs.place, None, None  # as of a source, or a synchronous RPDO
+        place, received_s, synced_s = syncs.place, None, None  # for a source or a synchronous RPDO
         if not self._input.is_synchronous and source is None:
             received_s = call.received if call.is_stamped else None
             is_first = self._synced and not (self._sample_came or syncs.extra_came)
             if self.answers.waits and call.is_stamped and syncs.stamped:
                 place, synced_s = self._answered_sync(call.received - syncs.synced_s)
                 sample = sample._replace(elapsed=max(1.0, float(place - self._accounted)))
-            elif is_first and syncs.stamped == call.is_stamped:  # it is not open which SYNC it answers
+            elif is_first and syncs.stamped == call.is_stamped:  # it certainly answers the last SYNC
                 synced_s = syncs.synced_s
         if not self._synced and source is None:
-            syncs.sync(call.received, call.is_stamped, None)  # each sample is its own
+            syncs.sync(call.received, call.is_stamped, None)  # no SYNCs: the sample is its own
         self._limits.unit_changed()
         if self._interval.samples_per_sync > 1:
             self._grid.follow(syncs.grid.seen)
@@ -440,7 +443,7 @@ class Pairing(ProcessData):
             withheld = self.unconfirmed or (is_open and self._chain.slips(1.0))
             self._out(sample, self._withheld(feedback) if withheld else feedback, now)
         elif times.passed > 0.0 and self._chain.slips(1.0):
-            self._publishing.withhold()  # the position is that of the sample before, if its time is right
+            self._publishing.withhold()  # if the refused time is right, the published position is old
         if is_new or self._chain.crowded:
             self._sample_came += 1
             self._answer(max(place, self._accounted))
@@ -448,7 +451,7 @@ class Pairing(ProcessData):
             self.count_bad_frame()
 
     def _answered_sync(self, delay_s: float) -> tuple[int, float | None]:
-        """Its place, and when it was received, None if that is open: then it is the next one."""
+        """Place and receive time of the SYNC that a PDO answers; if that is open, the next place and None."""
         syncs, answers = self.syncs, self.answers
         later = answers.place(delay_s, syncs, self._accounted - syncs.place)
         if later is None:
@@ -486,8 +489,8 @@ class Pairing(ProcessData):
             self._observers.take_all(sample, feedback, between, per_sync, apart)
 
     def _lose_count(self, intervals: float, now: float) -> None:
-        """So many intervals may or may not have passed: the position is lost if the machine moves."""
-        moved = self._moves and not self._chain.lost  # before a doubt that is still open
+        """``intervals`` may have passed uncounted: the position is lost if the machine moves."""
+        moved = self._moves and not self._chain.lost  # while an earlier doubt was open
         feedback = self._chain.lose() if moved else self._chain.uncertain(intervals)
         if feedback is not None:
             self._publishing.publish(feedback, now)
