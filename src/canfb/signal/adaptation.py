@@ -1,16 +1,16 @@
 """Follows offset, gain and phase of the tracks slowly in operation (``adapt``, 2002:08).
 
-Half of the difference to the reference measurement goes into the conditioning, bounded in rate and range:
-no fault hides behind it by more than :attr:`AdaptConfig.hidden_cycles`. Only valid samples in a row count.
+Half of the change since the reference measurement goes into the conditioning, bounded in rate and range:
+no fault hides behind it by more than :attr:`AdaptConfig.hidden_cycles`. Only valid samples in a row are used.
 
-What they are now, samples over the whole cycle say. Behind the conditioning the tracks are z(x) = c + i s
+Samples over the whole cycle determine the change. After conditioning the tracks are z(x) = c + i s
 = sum z_k e^ikx. Offsets are z_0, gain and phase error z_-1 = (-gain / 2 + i phase / 2) z_1. In the frame
 that turns with the phase, w = z e^-ix,
 
     z_0 = mean of (w - z_1) e^ix,      z_-1 = mean of (w - z_1) e^2ix
 
-over an even phase: the means of 16 sectors. What changes after the calibration shows by half, for the
-phase follows the tracks and only their radius tells it.
+over phases that are evenly distributed: the mean of 16 sectors. Only half of a change is seen, since the
+phase follows the tracks: it shows in their radius alone.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from canfb.signal.supervision import VALID
 
 SECTORS = 16
 FEWEST = 4  # samples in each sector
-ROUNDS = 8  # each leaves a small part of what the first order has left
+ROUNDS = 8  # iterations beyond the first order; each leaves a small part of the error
 TURN = 2.0 * math.pi
-# A mean over a sector is less than the value in its middle, by this factor.
+# The mean of e^ix and of e^2ix over a sector, relative to the value at its middle.
 LEFT_OF_FIRST, LEFT_OF_SECOND = (math.sin(m * math.pi / SECTORS) * SECTORS / (m * math.pi) for m in (1, 2))
 
 
 class CircleDeviation(NamedTuple):
-    """Of conditioned tracks from a circle about the origin, relative to the fundamental.
+    """Deviation of conditioned tracks from a circle about the origin, relative to the fundamental.
 
     ``offset`` is z_0, cosine + i sine, ``backward`` is z_-1.
     """
@@ -65,7 +65,7 @@ class TrackSectors:
         self._places, self._turned = [0.0] * SECTORS, [0j] * SECTORS
 
     def take(self, sine: float, cosine: float, phase: float) -> bool:
-        """A sample: conditioned tracks in counts, corrected phase in cycles; True if no sector needs more."""
+        """Take conditioned tracks, counts, and corrected phase, cycles; True if no sector needs more."""
         sector = int(phase * SECTORS)
         self._places[sector] += phase
         self._turned[sector] += complex(cosine, sine) * cmath.exp(-1j * TURN * phase)
@@ -90,10 +90,10 @@ class TrackSectors:
 
 
 def deviation_of(correction: Correction) -> CircleDeviation | None:
-    """Of the tracks at the reference measurement, with this correction; None: it does not tell.
+    """Deviation of the tracks at the reference measurement with this correction; None: not known.
 
-    Without a table a circle. Of what a table corrects the harmonics (2005h) say what is z_-1, the rest is
-    z_0.
+    Without a table it is none. With a table, the harmonics (2005h) give z_-1, and the rest of what the table
+    corrects is z_0.
     """
     table, conditioning = correction.table, correction.conditioning
     if table is None:
@@ -124,13 +124,13 @@ def _angle(raw: FloatArray) -> FloatArray:
 
 
 NEVER: Final = 1 << 62  # no sample has this number
-EVERY_S = 0.02  # between two samples that are learned
-PAUSE_S = 1.0  # after a fault
-RECENT_S = 10.0  # older results are not recent
-MOST_TAKEN = 4096  # samples in which the cycle must be covered
+EVERY_S = 0.02  # time between two samples that are used
+PAUSE_S = 1.0  # time after a fault in which none is used
+RECENT_S = 10.0  # a result is recent for this time, or for that of four blocks
+MOST_TAKEN = 4096  # samples within which all sectors must be full
 REFERENCE_BLOCKS = 4
-GAIN = 0.5  # of the difference, each time
-MOST_STEP = 0.004  # at once, of the amplitude, or rad: 0.0006 cycle
+GAIN = 0.5  # part of the remaining change that is corrected by each block
+MOST_STEP = 0.004  # largest correction by a block, of the amplitude or in rad: 0.0006 cycle
 PER_HOUR = 1.0 / 3600.0
 HYSTERESIS = 31.0 / 32.0
 
@@ -139,10 +139,10 @@ HYSTERESIS = 31.0 / 32.0
 class AdaptConfig:
     """How far and how fast offset, gain and phase of the tracks are followed.
 
-    offset         largest change of an offset, 0..0.25 of the amplitude (2002:09); 0: it is not followed
-    gain           largest change of the ratio of the gains, 0..0.5 (2002:0A); 0: it is not followed
-    phase_rad      largest change of the phase error, 0..0.25 rad (2002:0B); 0: it is not followed
-    rate_per_hour  largest change of each in an hour, 0..10 (2002:0C); 0: they are measured only
+    offset         largest change of an offset, 0..0.25 of the amplitude (2002:09); 0: not followed
+    gain           largest change of the ratio of the gains, 0..0.5 (2002:0A); 0: not followed
+    phase_rad      largest change of the phase error, 0..0.25 rad (2002:0B); 0: not followed
+    rate_per_hour  largest change of each in an hour, 0..10 (2002:0C); 0: only measured
     """
 
     offset: float = 0.15
@@ -155,7 +155,7 @@ class AdaptConfig:
 
     @property
     def hidden_cycles(self) -> float:
-        """Largest difference that it makes to a position, cycles; docs/analog-front-end.md has the proof."""
+        """Largest change that it makes to a position, cycles; docs/analog-front-end.md has the proof."""
         most, half = 1.0 + 0.5 * self.gain, 0.5 * self.phase_rad
         turned = math.atan2(most * math.sin(self.phase_rad), 2.0 - most + most * math.cos(self.phase_rad))
         rest = self.hidden_amplitude - (1.0 - math.cos(half))
@@ -164,7 +164,7 @@ class AdaptConfig:
 
     @property
     def hidden_amplitude(self) -> float:
-        """Largest difference that it makes to an amplitude, as a part of it."""
+        """Largest relative change that it makes to an amplitude."""
         half = 0.5 * self.phase_rad
         return (
             math.sqrt(2.0) * self.offset + math.hypot(0.5 * self.gain, math.sin(half)) + 1.0 - math.cos(half)
@@ -172,10 +172,10 @@ class AdaptConfig:
 
 
 class FollowedDrift(NamedTuple):
-    """The change of the conditioned tracks since the reference measurement, as far as followed.
+    """The change of the conditioned tracks since the reference measurement, as far as it is followed.
 
     sine_offset_counts, cosine_offset_counts  after conditioning (2002:0F, 2002:10)
-    gain                                      of the sine over that of the cosine, less 1 (2002:11)
+    gain                                      of the sine over that of the cosine, minus 1 (2002:11)
     phase_rad                                 of the phase error (2002:12)
     """
 
@@ -206,9 +206,9 @@ NO_DRIFT = FollowedDrift()
 class Adaptation:
     """Follows the drift of one encoder; off until :meth:`use_limits`.
 
-    drift   what it has found
-    due     number of the sample from which on :meth:`take` need be called with valid samples
-    used    largest part of a limit that the drift of the last block has used; 1 and more: at its limit
+    drift   the change that is followed
+    due     number of the next valid sample that :meth:`take` needs
+    used    drift of the last block relative to its limit, the largest of all; 1 and more: at its limit
     """
 
     __slots__ = (
@@ -247,14 +247,14 @@ class Adaptation:
 
     def use(self, correction: Correction) -> None:
         self._known = deviation_of(correction)
-        self._blocks: list[CircleDeviation] = []  # of the reference, while it is not known
+        self._blocks: list[CircleDeviation] = []  # those that will be the reference, while it is not known
         self._forget()
 
     def is_recent(self, samples: int) -> bool:
         return samples <= self._recent_until
 
     def take(self, feedback: Feedback, interval_s: float) -> bool:
-        """A sample; True if :attr:`drift` has changed. ``interval_s``: sampling interval, 0.0: not known."""
+        """Take a sample; True if :attr:`drift` changed. ``interval_s``: sampling interval, 0.0: not known."""
         samples = feedback.samples
         if feedback.status & (FLAGGED_BITS | VALID) != VALID:
             self._begin(samples + int(PAUSE_S / interval_s) if interval_s > 0.0 else samples)
@@ -266,7 +266,8 @@ class Adaptation:
             return False
         sectors = self._sectors
         if not sectors.taken:
-            self._stride = max(1, round(EVERY_S / interval_s)) | 1  # odd: a locked speed shows its phases
+            # Odd, so that at a constant fraction of a cycle per sample all its phases are seen.
+            self._stride = max(1, round(EVERY_S / interval_s)) | 1
         self.due = samples + self._stride
         if not sectors.take(feedback.sine, feedback.cosine, feedback.phase):
             if sectors.taken >= MOST_TAKEN:

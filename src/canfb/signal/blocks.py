@@ -1,4 +1,4 @@
-"""Arrays in blocks that stay in the processor's cache, and the memory to compute them in."""
+"""Blocks of arrays that fit the processor's cache, and memory for their intermediate results."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-# 32768 samples x 8 bytes x eight arrays are 2 MiB: in a large second-level cache. A block takes some 60 calls
-# of numpy, and half as many samples for each of them cost more than a cache that is too small.
+# 32768 samples x 8 bytes x eight arrays are 2 MiB, which fit a large second-level cache. A block takes about
+# 60 calls of numpy: with a smaller cache, halving the block would cost more than cache misses.
 BLOCK_SAMPLES = 32768
-LINE_BYTES = 64  # of the cache, and of a vector of AVX-512
+LINE_BYTES = 64  # a line of the cache, and a vector of AVX-512
 
 
 def aligned(samples: int, kind: npt.DTypeLike) -> npt.NDArray[Any]:
-    """An array of this length, any content, that begins at a line of the cache: twice as fast as numpy's
-    own.
+    """An array of this length, not initialised, that begins at a line of the cache: twice as fast as one of
+    numpy.
     """
     length = samples * np.dtype(kind).itemsize
     room = np.empty(length + LINE_BYTES, np.uint8)
@@ -25,7 +25,7 @@ def aligned(samples: int, kind: npt.DTypeLike) -> npt.NDArray[Any]:
 
 
 class Scratch:
-    """Arrays for intermediate results of a block, made once: fresh memory costs more than arithmetic."""
+    """Arrays for intermediate results of a block, allocated once: fresh memory costs more than arithmetic."""
 
     __slots__ = ("_arrays", "a", "b", "bit", "bits", "cosine", "digits", "index", "raw", "sine")
 

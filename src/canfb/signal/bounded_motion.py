@@ -1,6 +1,6 @@
-"""What a machine is declared to do, and where its next sample can be then.
+"""The declared bound of a motion, and where the next sample can be within it.
 
-A motion x(t), cycles, keeps a bound B if all its second divided differences, times 2, are at most B: its
+A motion x(t), cycles, keeps the bound B if all its second divided differences, times 2, are at most B: its
 acceleration, cycles per interval^2. A sample shows x(t) modulo one cycle, with an error of at most e =
 phase error + instant error x |speed|.
 
@@ -9,15 +9,16 @@ phase error + instant error x |speed|.
     |x(t) - sum w_i x_i| <= B |t - t_1| |t - t_2| / 2 + e (1 + sum |w_i|),
 
 w_i the weights of Lagrange: at equal intervals B + 4 e, the residual limit of eq. 9. After a short interval
-the weights are large, and windows of the newest sample with older ones are sharper; all of them hold.
+the weights are large, and windows of the newest sample with older ones are narrower. All of them hold, so
+they are intersected.
 
-**Junction.** The samples behind a hole belong to one motion. Nodes are put about one interval apart where
-samples are missing. Each node, and each sample behind the hole, is the extrapolation of the two nodes
+**Junction.** The samples before and after a hole belong to one motion. Nodes stand about one interval apart
+where samples are missing. Each node, and each sample after the hole, is the extrapolation of the two nodes
 before it plus a generator of size B prod / 2; each sample has another one of size e. So the deviations d of
 two samples lie in a zonotope: |n d| <= sum |n g| over the normals n of its facets, perpendicular to each
 generator.
 
-Both are necessary conditions: a motion within the bound is never outside.
+Both conditions are necessary: no motion within the bound is ever excluded.
 """
 
 from __future__ import annotations
@@ -33,18 +34,18 @@ import numpy as np
 from canfb.signal.phase import FloatArray
 
 ORDER = 2  # r samples determine the next one (eq. 9)
-MOST_NODES = 32  # in a hole; in a longer one they are further apart, and the junction is wider
-SHORT_INTERVAL = 0.75  # below it the weights of eq. 9 are above 2.3 and 1.3: older samples are asked as well
-HOLE_INTERVALS = 1.5  # from here on samples are missing between two
-# Or SYNC jitters: of 0.1 interval rms it makes one interval in 5000 longer than 1.5, one in 17 million longer
-# than this. Where the window has one count only, it is right however long the interval was.
+MOST_NODES = 32  # nodes in a hole; in a longer one they are further apart, and the junction is wider
+SHORT_INTERVAL = 0.75  # below it the weights of eq. 9 are above 2.3 and 1.3: older samples are used, too
+HOLE_INTERVALS = 1.5  # from this interval on, samples are missing between two
+# An interval up to this may also be due to jitter of SYNC: at 0.1 interval rms one in 5000 is longer than
+# 1.5, one in 17 million longer than this. If the window has one count only, that is right in any case.
 LONG_INTERVAL = 1.75
-BASELINES = 5  # samples
-ROUNDING_CYCLES = 1e-9  # of the arithmetic here, below any phase error
+BASELINES = 5  # samples that are used after a short interval
+ROUNDING_CYCLES = 1e-9  # error of the arithmetic here, below any phase error
 
 
 class Spot(NamedTuple):
-    """A sample on a trajectory: time in intervals, cycle count, phase, an error beside that of the phase."""
+    """A sample on a trajectory: time in intervals, cycle count, phase, error beyond the phase error."""
 
     time: float
     cycles: int
@@ -89,7 +90,7 @@ class BoundedMotion:
         return self.phase_error + self.instant_error * abs(displacement / (last.time - before.time))
 
     def window(self, spots: tuple[Spot, ...], time: float) -> Window:
-        """Where a sample at ``time`` is after these, two at least, the newest last."""
+        """Where a sample at ``time`` can be after two or more ``spots``, the newest last."""
         error = self.error(spots)
         low, high = -math.inf, math.inf
         short = abs(spots[-1].time - spots[-2].time) < SHORT_INTERVAL
@@ -99,7 +100,7 @@ class BoundedMotion:
         return Window(spots[-1].cycles, low, high)
 
     def beyond(self, before: tuple[Spot, ...], run: tuple[Spot, ...], time: float) -> Window:
-        """Where a sample at ``time`` is after a hole between ``before`` and ``run``, one sample at most."""
+        """Where a sample at ``time`` can be; the hole is between ``before`` and ``run``, 0 or 1 samples."""
         error = self.error(before)
         known = before[-ORDER:]
         base, zero = known[-1].cycles, known[-1].time
@@ -119,7 +120,7 @@ class BoundedMotion:
         return Window(base, centre + float(least), centre + float(most))
 
     def _extrapolation(self, spots: tuple[Spot, ...], time: float, error: float) -> tuple[float, float]:
-        """Centre, cycles from the cycle count of the newer of two, and radius of the window at ``time``."""
+        """Centre (relative to the cycle count of the newer of two ``spots``) and radius of the window."""
         times = tuple(spot.time for spot in spots)
         factors, base = weights(times, time), spots[-1].cycles
         centre = sum(w * ((spot.cycles - base) + spot.phase) for w, spot in zip(factors, spots, strict=True))
@@ -128,13 +129,13 @@ class BoundedMotion:
 
 
 def weights(times: Sequence[float], time: float) -> tuple[float, float]:
-    """Of Lagrange: how often the values at two ``times`` count in the extrapolation to ``time``."""
+    """Lagrange weights of the values at two ``times`` in the extrapolation to ``time``."""
     ratio = (time - times[1]) / (times[1] - times[0])
     return -ratio, 1.0 + ratio
 
 
 def scale(times: Sequence[float], time: float) -> float:
-    """prod |time - t_i| / r!: how often the bound counts at ``time``."""
+    """prod |time - t_i| / r!: factor of the bound B at ``time``."""
     return abs(time - times[0]) * abs(time - times[1]) / 2.0
 
 
@@ -146,10 +147,10 @@ def junction(
     errors: tuple[float, ...],
     error: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Slopes and limits of the facets, for the last of one or two samples at the times ``behind``.
+    """Slopes and limits of the facets, for the last of one or two samples at the times ``behind`` the hole.
 
-    ``before`` are the times of the two before the hole; ``errors`` those of their phases, ``error`` of each
-    behind it.
+    ``before`` and ``errors`` are the times and errors of the two samples before it, ``error`` that of each
+    sample behind it.
     """
     gap = behind[0] - before[-1]
     nodes = min(max(0, round(gap) - 1), MOST_NODES)

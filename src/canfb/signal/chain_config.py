@@ -30,9 +30,9 @@ MOST_CORNER_HZ = 1e9  # 2001:05
 
 @dataclass(frozen=True, kw_only=True)
 class ChainLimits(Declared):
-    """What a sample is held against; it may change between two samples (2001h, 2010h).
+    """Limits that samples are checked against; they may change between two samples (2001h, 2010h).
 
-    As in :class:`ChainConfig` and :class:`Declared`. ValueError for a bad limit.
+    Fields as in :class:`ChainConfig` and :class:`Declared`. ValueError for a bad limit.
     """
 
     sample: SampleLimits
@@ -55,28 +55,28 @@ class ChainConfig:
     amplitude_low_counts    lowest accepted amplitude after conditioning, 0..65535 (2001:03);
                             None: 0.2 of the full scale
     amplitude_high_counts   highest accepted amplitude, 0..65535 (2001:04); None: 1.25 of the full scale
-    corner_hz               of the low-pass of the analog path, 0..1e9 Hz (2001:05): both limits hold for the
-                            amplitude before it; 0: none
-    cosine_corner_hz        that of the cosine track, 0..1e9 Hz (2001:06); 0: the same
+    corner_hz               corner frequency of the low-pass of the analog path, 0..1e9 Hz (2001:05); both
+                            limits of the amplitude hold before the low-pass; 0: none
+    cosine_corner_hz        the same for the cosine track, 0..1e9 Hz (2001:06); 0: equal
     residual_limit          largest accepted residual, 0 < limit <= 0.5 cycles (2010:01, eq. 12)
     coast_samples           0..255 sampling intervals to bridge before the position is lost (2010:03)
     frozen_samples          0..255 successive repeats that distinguish a dead converter from a machine
                             that moves whole cycles per sample (2010:04): 16 with half a count of noise.
-                            0: for a converter without noise, equal samples are not a fault
-    coarse_limit_revolutions  largest difference of the coarse track, above 0, at most 0.25 (2010:05)
+                            0: off, for a converter without noise
+    coarse_limit_revolutions  largest error of the coarse track, above 0, at most 0.25 (2010:05)
     conditioning            offset, gain and phase error of the tracks, and delays of the analog path (2002h)
     max_acceleration_cycles  largest acceleration of the machine, 0..1000 cycles per interval^2; 0: not known
     phase_error_cycles      largest phase error of a good sample, above 0, at most 0.0625 cycles (2010:0C):
                             of encoder, conditioning and table
     bad_samples             0..8 neighbouring samples that may be bad unnoticed (2010:0A); 0: as many as
                             cannot do harm
-    doubt_acceleration_cycles  assumed while in doubt if max_acceleration is not known, 0..0.5 cycles per
-                            interval^2 (2010:0B); 0: none, and each gap that leaves two motions is lost
-    sync_jitter_s           0..1 s (2010:0D): no SYNC is further from the even grid; 0: not declared
+    doubt_acceleration_cycles  acceleration assumed in doubt if max_acceleration is not known, 0..0.5 cycles
+                            per interval^2 (2010:0B); 0: none, each gap that leaves two motions is a loss
+    sync_jitter_s           largest distance of a SYNC from the even grid, 0..1 s (2010:0D); 0: not declared
     interval_s              sampling interval, 0..1000 s, for corner_hz, adapt and the cosine_delay_s of
                             conditioning; 0: not known
-    adapt                   follow offset, gain and phase of the tracks slowly (2002:08): bounds in rate and
-                            range, or true for the defaults of these; false: not at all
+    adapt                   follow offset, gain and phase of the tracks slowly (2002:08): bounds of rate and
+                            range, or true for the default bounds; false: off
     """
 
     cycles_per_revolution: int = 2500
@@ -151,7 +151,7 @@ class ChainConfig:
 
     @property
     def chain_limits(self) -> ChainLimits:
-        """All limits, the residual limit narrowed by what is declared of the machine."""
+        """All limits, with the residual limit narrowed by the declared bounds."""
         acceleration = self.max_acceleration_cycles or None
         widest, error = self.residual_limit, self.phase_error_cycles
         limit = widest if acceleration is None else min(widest, acceleration + 4.0 * error)
@@ -172,9 +172,9 @@ class ChainConfig:
 
 
 def with_correction(config: ChainConfig, table: AnyTable) -> tuple[ChainConfig, CorrectionTable | None]:
-    """``config`` with the conditioning that ``table`` has if it is a calibration, and the table alone.
+    """``config`` with the conditioning of ``table`` if that is a calibration, and the table alone.
 
-    TypeError for what is no configuration; errors of :func:`.correction_of`.
+    TypeError unless ``config`` is a ChainConfig; errors of :func:`.correction_of`.
     """
     if not isinstance(config, ChainConfig):
         raise TypeError(f"config must be a ChainConfig, not {type(config).__name__}")

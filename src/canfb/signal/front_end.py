@@ -1,21 +1,22 @@
-"""What the analog path does to the tracks at speed: a delay between them, and less amplitude.
+"""What the analog path does to the tracks at speed: a delay between them, attenuation, and harmonics.
 
-A converter with a multiplexer takes the cosine ``cosine_delay_s`` after the sine. At f cycles per second
+A converter with a multiplexer samples the cosine ``cosine_delay_s`` after the sine. At f cycles per second
 that turns it by d = 2 pi f cosine_delay: a phase error of ``phase_error - d``, which :class:`Conditioning`
-removes exactly. A low-pass with the corner frequency fc leaves A / sqrt(1 + (f / fc)^2); its inverse is a
-common gain, so that the limits of the amplitude are those of a slow machine. Where the corner frequencies
-differ, so do the gains, and d has arctan(f / fc of the sine) - arctan(f / fc of the cosine) besides.
+removes exactly. A low-pass with the corner frequency fc leaves A / sqrt(1 + (f / fc)^2); its inverse is used
+as a gain, so that the limits of the amplitude hold at any speed. If the corner frequencies of the tracks
+differ, so do the gains, and arctan(f / fc of the sine) - arctan(f / fc of the cosine) is added to d.
 
-**Harmonics**: what a correction table leaves at speed. The tracks are z(x) = c + i s = sum z_k e^ikx, z_1
-= 1. A table removes what the others do to the phase at standstill. With the spectra C_k = (z_k + z_-k*) /
-2 and S_k = (z_k - z_-k*) / 2i of both tracks, their low-passes H and their phase error phi, at f cycles/s:
+**Harmonics** cause the phase error that a correction table leaves at speed. The tracks are z(x) = c + i s =
+sum z_k e^ikx, z_1 = 1. A table removes the effect of the other z_k at standstill. With the spectra C_k = (z_k
++ z_-k*) / 2 and S_k = (z_k - z_-k*) / 2i of both tracks, their low-passes H and their phase error phi, at f
+cycles/s:
 
     S_k(f) = S_k Hs(k f) / |Hs(f)| e^(i k lag),      lag = -arg Hs(f)
     y_k(f) = (C_k cos phi + S_k sin phi) Hc(k f) / |Hc(f)| e^(i k (lag + d)),      d = 2 pi f cosine_delay
     C_k(f) = (y_k(f) - S_k(f) sin a) / cos a,      a the phase error at f
 
-To first order the phase is then off by D(x, f) = Im sum (z_k(f) - z_k) e^(i (k - 1) x) / (2 pi), a small
-table over phase and speed.
+To first order the phase is then off by D(x, f) = Im sum (z_k(f) - z_k) e^(i (k - 1) x) / (2 pi), tabulated
+over phase and speed.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ from canfb.signal.conditioning import HARMONIC_ORDERS, Coefficients, Conditionin
 from canfb.signal.phase import ComplexArray, FloatArray
 
 Row = tuple[tuple[float, float], ...]
-PLACES = 64  # in a cycle: the highest order of D is 6, and linear interpolation leaves 0.5 % of order 2
+PLACES = 64  # per cycle: the highest order of D is 6, and linear interpolation leaves 0.5 % of order 2
 SPEEDS = 192  # rows on either side of standstill
-MOST_CORNERS = 3.0  # the highest speed, in corner frequencies
-MOST_TURN_RAD = 1.2  # and from a sine to its cosine
+MOST_CORNERS = 3.0  # the highest tabulated speed, in corner frequencies
+MOST_TURN_RAD = 1.2  # the same, by the angle that the cosine delay turns
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Corners:
 
     @property
     def of_cosine_hz(self) -> float:
-        """That of the cosine: the same, unless it is given."""
+        """Corner frequency of the cosine, Hz: that of the sine unless it is given."""
         return self.cosine_corner_hz or self.corner_hz
 
 
@@ -59,23 +60,22 @@ NO_LOW_PASS = Corners()
 
 @dataclass(frozen=True)
 class HarmonicRows:
-    """D as lines over the phase, (value, slope to the next one) in cycles: ``rows[SPEEDS]`` at standstill.
-
-    From one to the next it is ``step_hz``.
+    """D over the phase, as (value, step to the next value) in cycles: ``rows[SPEEDS]`` at standstill, the
+    others ``step_hz`` apart.
     """
 
     rows: tuple[Row, ...]
     step_hz: float
 
     def row(self, hertz: float) -> Row:
-        """The nearest one; at the ends for what is beyond."""
+        """The row nearest to a speed in cycles per second; beyond the table, its end."""
         place = hertz / self.step_hz
         return self.rows[SPEEDS + round(max(-SPEEDS, min(place, SPEEDS)))]
 
 
 @lru_cache(maxsize=8)
 def harmonic_rows(used: Conditioning, path: Corners) -> HarmonicRows | None:
-    """Those of this encoder and path; None where there is nothing to correct."""
+    """The rows for this encoder and analog path; None if there is nothing to correct."""
     standing = np.array(used.harmonics)
     reaches = [MOST_CORNERS * hz for hz in (path.corner_hz, path.of_cosine_hz) if hz]
     if used.cosine_delay_s:
@@ -116,7 +116,7 @@ def harmonic_at(
     path: Corners,
     hertz: FloatArray,
 ) -> tuple[ComplexArray, ComplexArray]:
-    """z_k and z_-k at these speeds, any shape, of those at standstill."""
+    """z_k and z_-k at these speeds, any shape, from ``ahead`` and ``behind``, those at standstill."""
     cosine, sine = (ahead + behind.conjugate()) / 2.0, (ahead - behind.conjugate()) / 2.0j
     phi = used.phase_error_rad
     lag_s, lag_c = (
@@ -139,7 +139,7 @@ def _left(k: int, f: FloatArray, corner_hz: float) -> ComplexArray:
 
 
 def corrected(row: Row, phase: float) -> float:
-    """``phase``, 0 <= phase < 1, less D."""
+    """``phase`` - D, where 0 <= phase < 1."""
     place = phase * PLACES
     index = int(place)
     first, slope = row[index]
@@ -151,14 +151,14 @@ def corrected(row: Row, phase: float) -> float:
     return phase
 
 
-LARGEST_RAD = 1.47  # |d - phase_error|: beyond it the tracks are less than 6 degrees from being the same one
+LARGEST_RAD = 1.47  # |d - phase_error|: beyond it both tracks have the same phase within 6 degrees
 AHEAD_INTERVALS = 1.5  # from the middle of the last interval, whose speed is known, to the next sample
-SAME_INTERVAL = 2e-4  # of it
+SAME_INTERVAL = 2e-4  # relative difference up to which an interval is the same
 
 
 class FrontEnd:
     """Coefficients of a conditioning at a speed, cycles per sampling interval of ``unit_s`` seconds; 0.0:
-    not known, and the machine is taken to stand.
+    not known, as at standstill.
     """
 
     __slots__ = (
@@ -181,7 +181,7 @@ class FrontEnd:
         self._differ = corners.of_cosine_hz != corners.corner_hz
         self._rows = harmonic_rows(conditioning, corners)
         self.varies = self._rows is not None or bool(corners.corner_hz and conditioning.delay_s)
-        """More than the coefficients depends on the speed: :meth:`row`, :meth:`lag_intervals`."""
+        """:meth:`row` or :meth:`lag_intervals` depend on the speed, not only the coefficients."""
         self.use_interval(0.0)
 
     def use_conditioning(self, conditioning: Conditioning) -> None:
@@ -189,7 +189,7 @@ class FrontEnd:
 
     def use_interval(self, unit_s: float) -> None:
         self.unit_s = unit_s
-        self._hertz = hertz = 1.0 / unit_s if unit_s > 0.0 else 0.0  # at one cycle per interval
+        self._hertz = hertz = 1.0 / unit_s if unit_s > 0.0 else 0.0  # cycles per second at 1 per interval
         self._delay = 2.0 * math.pi * hertz * self._conditioning.cosine_delay_s
         corners = self._corners
         self._corner = hertz / corners.corner_hz if corners.corner_hz else 0.0
@@ -208,7 +208,7 @@ class FrontEnd:
         return () if self._rows is None else self._rows.row(speed_cycles * self._hertz)
 
     def lag_intervals(self, speed_cycles: float) -> float:
-        """2002:07 at this speed: a low-pass delays by arctan(u) / u of it, u = f / fc."""
+        """2002:07 at this speed: of it, a low-pass delays by 1 / (2 pi fc) arctan(u) / u, u = f / fc."""
         lag = self._conditioning.delay_s * self._hertz
         ratio = self._corner * speed_cycles
         if ratio:
@@ -216,10 +216,10 @@ class FrontEnd:
         return lag
 
     def coefficients(self, speed_cycles: float, amplitude_known: bool = True) -> Coefficients:
-        """As :meth:`Conditioning.coefficients`, at this speed; all zero where the delay makes both tracks
+        """As :meth:`Conditioning.coefficients`, at this speed; all zero if the delay makes both tracks
         the same.
 
-        With ``amplitude_known`` False the attenuation is left in.
+        ``amplitude_known`` False: the attenuation is not corrected.
         """
         offset_s, offset_c, gain_s, gain_c, phase_error = self._used
         angle = phase_error - self.turned_rad(speed_cycles)

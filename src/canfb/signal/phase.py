@@ -1,9 +1,9 @@
 """Phase within the cycle by division (Hoescheler and Szamel 1997, Table 1).
 
-The raw phase of ideal tracks is off by up to 1.132 % of a cycle, which the correction table takes out. The
-last column of the printed table must be 1 + s/(8c), else the curve would jump at 7/8.
+The raw phase of ideal tracks is off by up to 1.132 % of a cycle, which the correction table removes. The last
+column of the printed table must be 1 + s/(8c): as printed, the curve would jump at 7/8.
 
-Arrays of tracks come from the caller: errors say what they are instead.
+Errors about arrays of tracks say what the caller passed instead.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ def real_array(name: str, values: ArrayLike) -> FloatArray:
 
 
 def _with_gaps(values: ArrayLike) -> ArrayLike:
-    # NaN where an array is masked.
+    # NaN for the masked elements of an array.
     return np.ma.asarray(values, float).filled(np.nan) if np.ma.is_masked(values) else values
 
 
 def wrap(cycles: FloatArray) -> FloatArray:
-    """Differences of phases to -0.5..0.5 cycle: the nearest of all that differ by whole cycles."""
+    """Differences of phases, taken to -0.5..0.5 cycle by whole cycles."""
     return np.asarray((cycles + 0.5) % 1.0 - 0.5, np.float64)
 
 
@@ -90,9 +90,9 @@ def raw_phases(s: FloatArray, c: FloatArray) -> FloatArray:
 
 
 def raw_phase_block(s: AnyArray, c: AnyArray, out: FloatArray, scratch: Scratch) -> None:
-    """Table 1 for one block of integers or floats, into ``out``: raw phases 0..1, where 1.0 stands for 0.0.
+    """Table 1 for one block of integers or floats, into ``out``: raw phases 0..1, where 1.0 means 0.0.
 
-    In eighths of a cycle the raw phase is |base - ratio|; an eighth is taken at the end, a power of two.
+    In eighths of a cycle the raw phase is |base - ratio|; the division by 8, a power of two, is exact.
     """
     larger = scratch.b
     size_s, size_c = _sizes(s, c, scratch)
@@ -109,19 +109,19 @@ def raw_phase_block(s: AnyArray, c: AnyArray, out: FloatArray, scratch: Scratch)
 def _sizes(s: AnyArray, c: AnyArray, scratch: Scratch) -> tuple[AnyArray, ...]:
     if s.dtype == c.dtype == np.int16:
         rows = scratch.a.view(np.int16).reshape(4, -1)
-        # The size of the lowest int16 is no int16, but has the right bits as a number without a sign.
+        # |-32768| overflows int16, but its bits are right as uint16.
         return np.abs(s, out=rows[0]).view(np.uint16), np.abs(c, out=rows[1]).view(np.uint16)
     return np.abs(s, out=scratch.a, dtype=np.float64), np.abs(c, out=scratch.b, dtype=np.float64)
 
 
 def _bases(s: AnyArray, c: AnyArray, scratch: Scratch) -> npt.NDArray[np.int8]:
-    """Bases of the octants; ``scratch.bit`` says where the sine is the larger one.
+    """Bases of the octants; ``scratch.bit`` is set where the sine is the larger track.
 
     cosine < 0, sine < 0, sine larger   000  001  010  011  100  101  110  111
     base, eighths of a cycle              0    2    8   -6    4   -2   -4    6
 
-    With n = sine < 0, l = sine larger, m = l xor cosine < 0: 8 (n - 2 n m) + 4 m - 2 l. Conditions would be
-    slow.
+    With n = sine < 0, l = sine larger, m = l xor cosine < 0: 8 (n - 2 n m) + 4 m - 2 l. Selecting by
+    conditions would be slow.
     """
     sine_larger, mixed, negative, both = scratch.bits
     sine_larger_1, mixed_1, base, both_1 = scratch.digits
@@ -140,13 +140,13 @@ def _bases(s: AnyArray, c: AnyArray, scratch: Scratch) -> npt.NDArray[np.int8]:
 
 
 def wrap_block(phases: FloatArray, scratch: Scratch) -> None:
-    """Take phases of -1 <= phase < 2 into 0..1, in place; 1.0 only where a tiny negative one was."""
+    """Take phases of -1 <= phase < 2 into 0..1, in place; 1.0 only for a tiny negative one."""
     phases -= np.floor(phases, out=scratch.a)
 
 
-FEW_SAMPLES = 64  # too few to check mid-scale and full scale
-LEAST_NORMALISED = 0.05  # peak of tracks in -1..1; below it may be the noise of dead inputs
-LEAST_SPREAD = 0.25  # of counts around a centre that is not zero, against the largest of them
+FEW_SAMPLES = 64  # fewer are too few to check mid-scale and full scale
+LEAST_NORMALISED = 0.05  # peak of tracks in -1..1; a lower one may be noise of dead inputs
+LEAST_SPREAD = 0.25  # range of counts around a centre that is not zero, relative to the largest
 
 
 def pair_of_tracks(
@@ -154,7 +154,7 @@ def pair_of_tracks(
 ) -> tuple[AnyArray, AnyArray]:
     """Both tracks as arrays of one shape (n,), ADC counts with zero at mid-scale; else ValueError.
 
-    Unsigned ones pass where a conditioning takes an offset away (``may_be_offset``).
+    ``may_be_offset``: a conditioning removes the offset, so unsigned counts are accepted.
     """
     kinds = "iuf" if may_be_offset else "if"
     sines, cosines = _numbers("sine", sine, kinds), _numbers("cosine", cosine, kinds)
@@ -167,9 +167,9 @@ def pair_of_tracks(
 
 
 def check_counts(sine: AnyArray, cosine: AnyArray, *, may_be_offset: bool = False) -> None:
-    """ValueError for tracks that can only be something else than counts with zero at mid-scale.
+    """ValueError for tracks that cannot be counts with zero at mid-scale.
 
-    They are in -1..1, or go round but never below zero. Fewer than 64 samples pass.
+    They are in -1..1, or turn round a circle but never go below zero. Fewer than 64 samples pass.
     """
     if len(sine) >= FEW_SAMPLES:
         _refuse_normalised(sine, cosine)
@@ -216,7 +216,7 @@ def _is_small(track: AnyArray) -> bool:
 
 
 def goes_round_off_zero(sine: AnyArray, cosine: AnyArray) -> bool:
-    """No count of either is below zero, and yet the tracks go round; a machine that stands may have none."""
+    """True if no count is negative although the tracks turn round a circle; at standstill none may be."""
     if len(sine) < FEW_SAMPLES or (sine[:FEW_SAMPLES] < 0).any() or (cosine[:FEW_SAMPLES] < 0).any():
         return False  # nearly always
     sides = []

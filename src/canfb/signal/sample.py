@@ -1,8 +1,7 @@
-"""One sample: what the encoder interface measured at one instant, several in one interval of SYNC, and
-what the signal chain gives for each.
+"""One sample: what the encoder interface measured at one instant, and what the signal chain makes of it.
 
-Of several (2000:08..0D, 0F..16) it takes m in an interval, by its own clock, and sends the pairs together.
-The chain then works in intervals of a sample, 1/m of that of SYNC.
+The interface may take m samples in an interval of SYNC, by its own clock, and send the pairs together
+(2000:08..0D, 0F..16). The chain then works in sampling intervals, 1/m of that of SYNC.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ TICK_S, TICKS = 1e-7, 1 << 32
 """Sample times are U32 in 100 ns (2000:05)."""
 
 MOST_PER_SYNC = 8
-LEAST_APART = 0.25  # sampling interval: a pair nearer to the sample before it, or older, is left out
+LEAST_APART = 0.25  # sampling intervals: a pair that is nearer to the sample before it, or older, is left out
 
 
 class Sample(NamedTuple):
@@ -25,12 +24,12 @@ class Sample(NamedTuple):
     sine, cosine            ADC counts, signed, zero at mid-scale
     elapsed                 intervals of SYNC since the sample before; 1.0 on a bus without
                             losses, n + 1 after n missed samples
-    invalid                 the encoder interface itself calls this sample bad (2000:06 bit 1)
+    invalid                 the encoder interface itself flagged this sample as bad (2000:06 bit 1)
     coarse_sine, coarse_cosine  the track with one cycle per revolution, ADC counts, or None
-    zero_pulse              the zero pulse came since the sample before, at this part of the
-                            interval (0..1, 2000:07); None: it did not
-    time_100ns              sample time in 100 ns, modulo 2^32 (2000:05), or None. With it the real
-                            elapsed time counts, and ``elapsed``, by the count of SYNCs, is a check
+    zero_pulse              the zero pulse came since the sample before, at this fraction of the
+                            interval (0..1, 2000:07); None: it did not come
+    time_100ns              sample time in 100 ns, modulo 2^32 (2000:05), or None. It determines the
+                            elapsed time; ``elapsed``, by the count of SYNCs, is then a check
     earlier                 pairs (sine, cosine) that were taken before this one in the same interval, the
                             newest first: pair j of m - 1 was taken j/m of an interval before
     """
@@ -47,10 +46,10 @@ class Sample(NamedTuple):
 
 
 def in_order(sample: Sample, passed: float, per_sync: int) -> list[Sample]:
-    """The samples of this interval, oldest first; ``elapsed`` of each is in sampling intervals, above 0.
+    """The samples of this SYNC interval, oldest first, each with ``elapsed`` > 0 in sampling intervals.
 
-    ``passed`` are those since the newest sample of the interval before, ``per_sync`` how many there are in
-    one of SYNC. The zero pulse is given to the sample before which it came, the rest stays with the newest.
+    ``passed``: sampling intervals since the newest sample of the SYNC interval before; ``per_sync``: samples
+    in an interval of SYNC. The zero pulse goes to the first sample after it, the rest to the newest.
     """
     earlier = sample.earlier[: per_sync - 1]
     while earlier and passed - len(earlier) < LEAST_APART:
@@ -71,9 +70,9 @@ def in_order(sample: Sample, passed: float, per_sync: int) -> list[Sample]:
 
 
 FAULT_BITS: Final = sum(FAULT_WORDS)
-"""Of the status word: what is wrong with a sample."""
+"""Status bits: faults of a sample."""
 FLAGGED_BITS: Final = FAULT_BITS | StatusBit.COASTING.value | StatusBit.LOST.value
-"""Those, and that the position coasts or is lost."""
+"""Status bits: faults of a sample, and a position that coasts or is lost."""
 
 
 class Feedback(NamedTuple):
@@ -82,16 +81,16 @@ class Feedback(NamedTuple):
     sine, cosine     conditioned tracks, counts
     amplitude        of the conditioned tracks, counts
     raw_phase        Table 1, cycles, 0..1; NaN without a phase
-    cycles, phase    the position: cycle count and phase (cycles, 0..1). The measured one when
-                     the sample was taken, the predicted one while coasting
-    residual         eq. 12, cycles, 0..0.5; 0.5 when there was nothing to compare
+    cycles, phase    the position: cycle count and phase (cycles, 0..1); measured if the sample was
+                     used, predicted while coasting
+    residual         eq. 12, cycles, 0..0.5; 0.5 if there was nothing to compare
     status           status word 2011:01 (:class:`canfb.signal.supervision.StatusBit`)
     speed_cycles     speed between the last two good samples, cycles per sampling interval:
-                     the speed of half an interval ago
+                     the speed half an interval ago
     acceleration_cycles  its change since the sample before, cycles per interval squared: the
-                     acceleration of one interval ago
-    jump_cycles      cycles that the position will be set right by, with the next sample; else 0
-    samples          samples processed since the start: moves with every call
+                     acceleration one interval ago
+    jump_cycles      cycles by which the position will be corrected at the next sample; else 0
+    samples          samples processed since the start, missed ones included
     """
 
     sine: float

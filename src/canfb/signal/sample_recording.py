@@ -1,4 +1,4 @@
-"""A recording of both tracks in bounded memory, as 2050h of module and interface hold it: INTEGER16,
+"""A recording of both tracks in bounded memory, in the format of 2050h of module and interface: INTEGER16,
 little-endian.
 """
 
@@ -19,7 +19,7 @@ class SampleRecording:
     __slots__ = ("_counts", "capacity")
 
     def __init__(self, capacity: int = CAPACITY_SAMPLES) -> None:
-        """An empty one for 1 or more samples. ValueError for another ``capacity``."""
+        """An empty recording for 1 or more samples. ValueError for another ``capacity``."""
         if capacity < 1:
             raise ValueError(f"capacity is {capacity}; give the number of samples, 1 or more")
         self.capacity = capacity
@@ -36,7 +36,7 @@ class SampleRecording:
         self._counts = array("h")
 
     def take(self, sine: int, cosine: int) -> None:
-        """Add one sample, INTEGER16 counts. Nothing happens when it is full."""
+        """Add one sample, INTEGER16 counts; no effect when the recording is full."""
         counts = self._counts
         if len(counts) < 2 * self.capacity:
             counts.extend((sine, cosine))

@@ -16,10 +16,10 @@ UNIT_INCREMENTS = 1 << 20  # default per revolution
 class SecondSensor:
     """The other sensor (2014h); ValueError for a bad value.
 
-    increments               of it in these ``revolutions``, 1..4294967295 (2014:01)
+    increments               of the sensor in these ``revolutions``, 1..4294967295 (2014:01)
     revolutions              of the encoder, 1..4294967295 (2014:02): above 1 with a gear between the two
-    reversed                 True: it counts down where the encoder counts up (2014:03)
-    tolerance_revolutions    how far the two positions may differ by compliance, backlash and age of the
+    reversed                 True: the sensor counts down when the encoder counts up (2014:03)
+    tolerance_revolutions    largest difference of the two positions by compliance, backlash and age of the
                              value, 0..0.25 revolutions of the encoder (2014:04); 0: it is not used
     invalidates              True: the position is not valid while the two disagree (2014:05)
     """
@@ -42,5 +42,5 @@ class SecondSensor:
 
 
 def step_increments(before: int, value: int) -> int:
-    """From one value, unwrapped or not, to another over the wrap, at most half the range."""
+    """Difference from one value, unwrapped or not, to another over the wrap, at most half the range."""
     return (value - before + RANGE // 2) % RANGE - RANGE // 2

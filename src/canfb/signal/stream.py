@@ -1,8 +1,8 @@
 """The supervised chain over a stream of arrays: bit for bit as sample by sample, faults included.
 
-All values of single samples are computed at once, then eq. 9 up to the first sample that a check rejects;
-this one, and those after it that decide the position, go through :class:`canfb.signal.stages.Stages` one by
-one.
+The stages of one sample are computed for a whole block, then eq. 9 up to the first sample that a check
+rejects. That sample, and those after it that decide on the position, go through
+:class:`canfb.signal.stages.Stages` one by one.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from canfb.signal.stages import Stages
 from canfb.signal.supervision import LOST, RESIDUAL, VALID, SampleLimits
 from canfb.signal.tracker import RESIDUAL_LIMIT, TrackResult
 
-# To start on arrays takes as long as some single samples; fewer than these are taken one by one.
+# The fixed cost of arrays is that of some single samples: fewer than these are taken one by one.
 SHORTEST_BLOCK = 16
 SHORTEST_RUN = 10
-# After a fault that only eq. 9 shows: the next one may be near, and what lies behind it is computed
-# in vain. The run is twice as long each time it ends well, so that this is never the larger part.
+# Length of a run after a fault that only eq. 9 shows: another fault may be near, and the samples after it
+# would be computed in vain. It doubles with each run without a fault, so that less than half is in vain.
 FIRST_RUN = 32
 
 
@@ -41,8 +41,8 @@ NO_LIMITS = SampleLimits(int(BIG), 0.0, 10.0 * BIG)
 class ChainResult:
     """Positions of a block of samples: arrays of one length, as the fields of :class:`canfb.Feedback`.
 
-    cycles, phase    the position: int64 and float64 (cycles, 0..1); the predicted one while coasting
-    residual         eq. 12, cycles, 0..0.5; 0.5 when there was nothing to compare
+    cycles, phase    the position: int64 and float64 (cycles, 0..1); predicted while coasting
+    residual         eq. 12, cycles, 0..0.5; 0.5 if there was nothing to compare
     amplitude        of the conditioned tracks, counts
     raw_phase        Table 1, cycles, 0..1; NaN without a phase
     status           uint16, status word 2011:01 (:class:`canfb.StatusBit`)
@@ -57,12 +57,12 @@ class ChainResult:
 
     @classmethod
     def empty(cls, samples: int) -> ChainResult:
-        """Arrays of this length, any content."""
+        """Arrays of this length, not initialised."""
         kinds = (np.int64, *[np.float64] * 4, np.uint16)
         return cls(*(aligned(samples, kind) for kind in kinds))
 
     def part(self, samples: slice) -> ChainResult:
-        """The same arrays, of these samples only."""
+        """Views of these samples."""
         return ChainResult(
             self.cycles[samples],
             self.phase[samples],
@@ -74,7 +74,7 @@ class ChainResult:
 
     @property
     def valid(self) -> npt.NDArray[np.bool_]:
-        """Status bit 0: where the position may be used."""
+        """Status bit 0: the position may be used."""
         return (self.status & VALID).astype(np.bool_)
 
 
@@ -84,16 +84,15 @@ def process_stream(
     table: AnyTable = None,
     speed_cycles: float | None = None,
 ) -> Iterator[ChainResult]:
-    """The supervised chain over blocks of samples that follow each other: one result for each.
+    """The supervised chain over successive blocks of samples: one result for each block.
 
     A block is a pair (sine, cosine) of shape (n,), ADC counts, zero at mid-scale; n may differ and may be 0.
     Samples are one sampling interval apart, also across blocks. The results are bit for bit those of
-    :meth:`canfb.SignalChain.step`, but none is valid after a start in motion without ``speed_cycles``. At a
-    block that is not such a pair the stream ends, with the errors of :func:`canfb.process`.
+    :meth:`canfb.SignalChain.step`, but none is valid after a start in motion without ``speed_cycles``. A
+    block that is not such a pair ends the stream with the errors of :func:`canfb.process`.
 
-    ``config`` None stands for the defaults of :class:`canfb.ChainConfig`, ``table`` None for the identity.
-    ``table`` and ``speed_cycles`` as for :func:`canfb.process`. TypeError or ValueError at once for a bad
-    one.
+    ``config`` None: the defaults of :class:`canfb.ChainConfig`; ``table`` None: the identity. ``table`` and
+    ``speed_cycles`` as for :func:`canfb.process`. TypeError or ValueError at once for a bad argument.
     """
     config, alone = with_correction(ChainConfig() if config is None else config, table)
     stream = Stream(config, alone, 0.0 if speed_cycles is None else speed_cycles)
@@ -107,7 +106,7 @@ def from_standstill(results: Iterator[ChainResult], config: ChainConfig) -> Iter
     for result in results:
         if not is_known:
             valid = result.valid
-            begin = 0 if first or not valid.any() else int(valid.argmax())  # bad ones before it are no start
+            begin = 0 if first or not valid.any() else int(valid.argmax())  # the first valid sample
             good = np.logical_and.accumulate(valid[begin:][: FIRST - len(first)])
             first += result.phase[begin:][: len(good)][good].tolist()
             is_known = len(first) == FIRST or (bool(first) and not good.all())
@@ -118,9 +117,9 @@ def from_standstill(results: Iterator[ChainResult], config: ChainConfig) -> Iter
 
 
 class Stream:
-    """:class:`Stages`, which are all that is carried from block to block, and memory to compute in.
+    """:class:`Stages`, which hold all state from block to block, and memory for intermediate results.
 
-    ``supervised`` False: without the limits of one sample; amplitude and raw phase are not computed then.
+    ``supervised`` False: without the limits of one sample; amplitude and raw phase are not computed.
     """
 
     def __init__(
@@ -152,7 +151,7 @@ class Stream:
             raise ValueError(f"a block must be a pair (sine, cosine), not {len(block)} of them")
         may_be_offset = self._conditioning is not None
         sine, cosine = pair_of_tracks(*block, may_be_offset=may_be_offset)
-        if self._is_first:  # a later one may be so because of a fault, which is flagged
+        if self._is_first:  # a later block may look wrong by a fault, which is flagged
             check_counts(sine, cosine, may_be_offset=may_be_offset)
         self._is_first = False
         return sine, cosine
@@ -167,7 +166,7 @@ class Stream:
 
     def _take_part(self, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> None:
         samples = len(sine)
-        # At another speed, or after a drift, a phase is another one: each needs the samples before it.
+        # If a phase depends on speed or drift, samples need those before them, one by one.
         on_arrays = samples >= SHORTEST_BLOCK and not self._stages.tracks.depends_on_past
         bad = self._compute(sine, cosine, result) if on_arrays else []
         k = 0
@@ -223,7 +222,7 @@ class Stream:
     def _run(self, k: int, fault: int, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> int:
         length = min(fault - k, self._run_samples)
         run, scratch = slice(k, k + length), self._scratch.head(length)
-        ok = scratch.bits[1]  # free by now
+        ok = scratch.bits[1]  # not in use any more
         tracked = TrackResult(result.cycles[run], result.phase[run], result.residual[run], ok)
         taken = self._stages.follow_run(sine[run], cosine[run], tracked, scratch)
         status = result.status[k : k + taken]
@@ -263,11 +262,11 @@ def _amplitudes(s: AnyArray, c: AnyArray, out: FloatArray, scratch: Scratch) -> 
     np.sqrt(out, out=out)
 
 
-FIRST = 3  # samples
+FIRST = 3  # samples that show a start in motion
 
 
 def begins_in_motion(phases: Sequence[float], config: ChainConfig) -> bool:
-    """By the first two or three phases, cycles, of a valid position; False for one. Warns if so."""
+    """True, with a warning, if the first two or three valid phases, cycles, show a motion; False for one."""
     if len(phases) < 2:
         return False
     first, second = (math.remainder(phases[n + 1] - phases[n], 1.0) for n in (0, len(phases) - 2))
@@ -309,16 +308,15 @@ def process(
     ``sine`` and ``cosine`` have shape (n,), ADC counts, zero at mid-scale. ``table`` is a
     correction table or a whole :class:`canfb.Calibration`, with its conditioning; None and ``conditioning``
     None are the identity. ``speed_cycles`` is the speed at the first sample, cycles per sample, right to
-    less than half a cycle; None: standstill, and where the first samples show a motion nothing is ``ok``
-    and a UserWarning says so: phases do not tell 0.2 from 83.2. ``declared``: any of
+    less than half a cycle; None: standstill, and if the first samples show a motion, nothing is ``ok``
+    and a UserWarning is given: phases do not distinguish 0.2 from 83.2. ``declared``: any of
     max_acceleration_cycles, phase_error_cycles, bad_samples, doubt_acceleration_cycles, coast_samples,
     interval_s and adapt of :class:`canfb.ChainConfig`; cosine_delay_s and adapt need interval_s.
 
     Bit for bit :class:`canfb.SignalChain` without limits on amplitude and converter; ``ok`` is status bit
     0, position valid. ValueError for arrays that are not such tracks (wrong shape, complex, unsigned or
-    never centred, in -1..1), for a bad limit or speed and for the table of a calibration whose conditioning
-    is missing; TypeError for another type of table or
-    conditioning.
+    never centred, in -1..1), for a bad limit or speed, and for the table of a calibration without its
+    conditioning; TypeError for another type of table or conditioning.
     """
     if conditioning is not None and not isinstance(conditioning, Conditioning):
         raise TypeError(f"conditioning must be a Conditioning or None, not {type(conditioning).__name__}")

@@ -1,1 +1,1 @@
-"""What absolute sensors say of the counted position: coarse track, zero pulse, second position."""
+"""Absolute sensors as witnesses of the counted position: coarse track, zero pulse, second position."""

@@ -1,6 +1,6 @@
-"""What witnesses do to the position (paper, section 4): take its validity, give its speed and its count.
+"""What witnesses do to the position (paper, section 4): withdraw its validity, or find its speed and count.
 
-A pulse that contradicts a valid position may be false: it is not valid until another pulse settles it.
+A pulse that contradicts a valid position may be false: the position is not valid until another pulse decides.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ class Reference:
     """Joins coarse track and zero pulse to an estimator; the second position brings its own
     :class:`Witness`.
 
-    had_position  there was a valid one since the start: the count of the next one found is not any
-    range_known   since the position was lost, its speed was found: the count may be set
-    recovered     speeds that witnesses have found
-    set_right     how often a zero pulse set the count right
-    in_doubt      zero pulses contradict the position, or each other: :meth:`apply` is to see every sample
+    had_position  there was a valid position since the start, so the count of a later one is not free
+    range_known   the speed was found since the position was lost: the count may be set
+    recovered     number of speeds that witnesses have found
+    set_right     number of counts that a zero pulse has corrected
+    in_doubt      zero pulses contradict the position, or each other: :meth:`apply` needs every sample
     """
 
     def __init__(self, estimator: Estimator, coarse: CoarseTrack, zero: ZeroPulse) -> None:
@@ -36,7 +36,7 @@ class Reference:
         estimator.on_lost = self.position_lost
         estimator.on_speed = self.speed_known
         self.coarse, self.zero = coarse, zero
-        self._witnesses: list[Witness] = [coarse]  # that search for the speed
+        self._witnesses: list[Witness] = [coarse]  # those that search for the speed
         self.recovered = self.set_right = 0
         self.restart()
 
@@ -54,7 +54,7 @@ class Reference:
 
     def speed_known(self) -> None:
         self._speed_known = True
-        self._first_pulse: Pulse | None = None  # of the speed before, as is what they have searched
+        self._first_pulse: Pulse | None = None  # the last one, and the searches, were at another speed
         for witness in self._witnesses:
             witness.restart_search()
 
@@ -68,20 +68,20 @@ class Reference:
         self.range_known = self._range_from_zero = self._speed_known = False
         self.coarse.disagreeing = 0
         self._first_pulse = None
-        self._all_taken = True  # the samples since the last coarse track, before this one
+        self._all_taken = True  # all samples between the last coarse track and this sample were used
         self.coarse.restart_search()
 
     def passed(self, taken: bool) -> None:
-        """A sample without a coarse track of its own."""
+        """Note a sample without a coarse track; ``taken``: it was used."""
         self._all_taken &= taken
 
     def apply(
         self, sample: Sample, track: Track, bits: int, pulse: Pulse | None, time: float, taken: bool
     ) -> tuple[int, int]:
-        """Status bits and jump in cycles after this sample; the jump shows in the next position.
+        """Status bits and jump in cycles after this sample; the jump takes effect in the next position.
 
-        ``track`` and ``bits`` are what the chain made of ``sample`` at ``time``, intervals; ``taken``: it
-        and the one before were. ``pulse`` came since then, or shortly before.
+        ``track`` and ``bits`` are the results of the chain for ``sample`` at ``time``, intervals; ``taken``:
+        it and the one before were used. ``pulse`` came since then, or shortly before.
         """
         taken, self._all_taken = taken and self._all_taken, True
         jump, pair, recovered = 0, None, self.recovered
@@ -89,7 +89,7 @@ class Reference:
             angle = self.coarse.angle(float(sample.coarse_sine), float(sample.coarse_cosine))
             pair = self.coarse.pair(angle, track.cycles, track.phase, time)
             bits, jump = self._hear_coarse(pair, bits, taken)
-        if pulse is not None and jump == 0 and self.recovered == recovered:  # else it is of the speed before
+        if pulse is not None and jump == 0 and self.recovered == recovered:  # not of the speed before
             bits, jump = self._pulse(pulse, bits, pair)
         if self.in_doubt and bits & VALID:
             bits = bits & ~VALID | COASTING
@@ -102,7 +102,7 @@ class Reference:
                 coarse.restart_search()
             else:
                 jump = self.find(coarse, pair)
-            if not coarse.proven:  # a turning machine looks like one at rest
+            if not coarse.proven:  # the machine may turn by whole cycles per interval
                 return bits & ~VALID, jump
         if self.estimator.lost:
             return lost_bits(bits), jump
@@ -120,9 +120,9 @@ class Reference:
         return lost_bits(bits) | COARSE, 0
 
     def find(self, witness: Witness, pair: Pair) -> int:
-        """What speed and count lack, by a witness; the jump of the count with the next sample.
+        """Correct speed and count by a witness; return the jump of the count at the next sample.
 
-        After a pause in which the machine did not stand still the position is lost.
+        The position is lost if the machine moved in a pause.
         """
         estimator = self.estimator
         if not (estimator.lost and self.range_known) or self._range_from_zero:
@@ -140,7 +140,7 @@ class Reference:
             self._range_from_zero = False
             if missing or not estimator.lost:
                 return 0
-        if not self.had_position:  # there was none yet that could be lost
+        if not self.had_position:  # the first position: any count will do
             witness.origin, witness.proven = pair, True
             estimator.confirm_count()
             return 0
@@ -161,9 +161,9 @@ class Reference:
         """:func:`pulse_between` the last two samples, with the acceleration by the last three; None unless
         both were counted.
 
-        Of a machine that creeps, samples further back show the direction.
+        If the machine creeps, samples further back show the direction.
         """
-        # The first is as the estimator has it: the speed up to here may be known only now.
+        # The first sample by the estimator: its count may have been corrected with the speed, just now.
         places, (before, _, apart) = self.estimator.places, self.estimator.tracker.places
         if apart - elapsed > SAME_TIME:
             return None
@@ -181,7 +181,7 @@ class Reference:
             return bits, 0
         if bits & VALID:
             return self._pulse_of_valid(pulse, bits, pair)
-        # A count that was lost is not known again by a pulse whose place was never known.
+        # A pulse whose place was not known before cannot find a lost count.
         if not lost or not self.zero.knows(pulse) or (self.had_position and not self.zero.referenced):
             return bits, 0
         first, self._first_pulse = self._first_pulse, pulse
@@ -192,7 +192,7 @@ class Reference:
         if self._refutes(pair, jump):
             return bits, 0
         if not self.zero.referenced:
-            if self._range_from_zero:  # two pulses before were whole revolutions from this one
+            if self._range_from_zero:  # two earlier pulses were whole revolutions from this one
                 self.zero.set_place(pulse)
             else:
                 self.zero.weigh(pulse)
@@ -215,7 +215,7 @@ class Reference:
             self.set_right += 1
             self.estimator.found(-error, 0)
             return bits & ~VALID | COASTING, -error
-        if verdict is PulseVerdict.SLIPPED:  # what is counted from here is certain again
+        if verdict is PulseVerdict.SLIPPED:  # from here on, counting is certain again
             self.position_lost()
             if pair is not None:
                 self.coarse.origin = pair
@@ -259,14 +259,14 @@ def pulse_between(
 ) -> Pulse:
     """The zero pulse at the fraction ``place`` (0..1) of the time between two samples, the later at ``time``.
 
-    ``acceleration`` in cycles per interval^2: a straight line would be up to 1/8 of it off, in one interval.
+    ``acceleration`` in cycles per interval^2: over one interval, a straight line is off by up to 1/8 of it.
     """
-    way = (track.cycles - before.cycles) + (track.phase - before.phase)
+    displacement = (track.cycles - before.cycles) + (track.phase - before.phase)
     bend = acceleration * elapsed * elapsed / 2.0
-    position = before.phase + place * way - bend * place * (1.0 - place)
+    position = before.phase + place * displacement - bend * place * (1.0 - place)
     turns = math.floor(position)
-    turned_back = abs(way) <= abs(bend) + speeds.MOVED_CYCLES  # between the two, perhaps
-    direction = 0 if turned_back else (1 if way > 0.0 else -1)
+    turned_back = abs(displacement) <= abs(bend) + speeds.MOVED_CYCLES  # it may have, between the two
+    direction = 0 if turned_back else (1 if displacement > 0.0 else -1)
     return Pulse(before.cycles + turns, position - turns, direction, time - (1.0 - place) * elapsed)
 
 

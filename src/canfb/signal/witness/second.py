@@ -1,5 +1,5 @@
-"""Another sensor of the machine as a witness (docs/homing.md), compared one SYNC after the sample, when its
-value is certain: it may come late, twice, not at all, or again.
+"""Another sensor of the machine as a witness (docs/homing.md). A value may come late, twice, not at all, or
+repeat the last one: it is compared one SYNC after its sample, when it is certain.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from canfb.signal.tracker import Track
 from canfb.signal.witness.reference import Reference, lost_bits
 from canfb.signal.witness.witness import PHASE_CYCLES, Pair, SecondScale, Witness, counts_within
 
-MOST_LATE = 3  # intervals by which a value may be late and is still known as that
-ON_TIME_VALUES = 100  # in a row that fit their own sample: they are not late
-SUDDEN_CYCLES = 0.5  # a value that moved so far in one interval and then repeats itself is frozen
+MOST_LATE = 3  # intervals by which a value may be late and is still recognised as late
+ON_TIME_VALUES = 100  # values in a row that fit their own sample: they are not late
+SUDDEN_CYCLES = 0.5  # a value that moved further in one interval, and then repeats, is frozen
 STILL_CYCLES = 0.25
 STILL_PAIRS = 8
 
 
 class SecondValues:
-    """Unwraps them, and says which of them mean something.
+    """Unwraps the values of the other sensor, and finds which of them can be used.
 
     missing       intervals in a row without a certain value
-    late          missing values: those that come may be late by as many intervals
-    most_late     the same, less only by a value that fits no earlier sample: one that comes twice may be late
-    is_ambiguous  the sensor may have turned by more than half of its range: where it stands is not known
+    late          number of missing values: those that come may be late by as many intervals
+    most_late     the same, reset only by a value that fits no earlier sample: a doubled value may be late
+    is_ambiguous  the sensor may have turned by more than half of its range: its position is not known
     """
 
     def __init__(self, scale: SecondScale) -> None:
@@ -38,16 +38,16 @@ class SecondValues:
         self.missing = self.late = self.most_late = 0
         self._begun = False
         self._on_time = 0  # values in a row that fitted their own sample
-        self._step = 0  # the last one
+        self._step = 0  # change of the value per interval, the last one that was not 0
         self._is_frozen = False
-        self._since: Pair | None = None  # the first pair with this value
+        self._since: Pair | None = None  # the first pair with the present value
 
     def restart_standstill(self) -> None:
         self._still: Pair | None = None
         self._still_pairs = 0
 
     def take(self, values: int, increments: int, samples: int) -> int | None:
-        """The value of an interval with so many ``values`` and ``samples``, unwrapped; None: not certain."""
+        """The unwrapped value of an interval; ``values``, ``samples``: their numbers. None: not certain."""
         self.is_ambiguous = False
         if self._begun:
             lacking = max(samples, 1) - max(values, 0)
@@ -72,19 +72,19 @@ class SecondValues:
 
     @property
     def turns(self) -> bool:
-        """By the last step the machine does not stand."""
+        """True if the last step shows that the machine moves."""
         increment = self._scale.step_cycles
         return abs(self._step) * increment > max(SUDDEN_CYCLES, 2.0 * increment)
 
     def fits(self, fits_earlier: bool) -> None:
-        """The last value fits its own sample, and perhaps an earlier one, if it is late."""
+        """Note that the last value fits its sample; ``fits_earlier``: an earlier one, too, if it is late."""
         self._on_time += 1
         if not fits_earlier:
             self.most_late = 0
         self.late = 0 if self._on_time >= ON_TIME_VALUES else min(self.late, self.most_late)
 
     def is_stale(self, pair: Pair, moving: bool) -> bool:
-        """The value is the one before again, although the machine has moved.
+        """True if the value repeats although the machine has moved.
 
         ``moving``: the position of the pair is right; else only its phase is.
         """
@@ -94,11 +94,11 @@ class SecondValues:
             moved -= round(moved)
         allowed = self._scale.step_cycles + STILL_CYCLES + (0.0 if moving else PHASE_CYCLES)
         stale = abs(moved) > allowed
-        self._is_frozen |= stale  # until the value changes: phases come back
+        self._is_frozen |= stale  # until the value changes: phases repeat with each cycle
         return stale or (self._is_frozen and not moving)
 
     def stands_still(self, pair: Pair) -> bool:
-        """Neither sensor has moved for :data:`STILL_PAIRS` pairs, this one the last."""
+        """True if neither sensor has moved for :data:`STILL_PAIRS` pairs up to this one."""
         first, scale = self._still, self._scale
         if first is not None:
             moved = (pair.cycles - first.cycles) + (pair.phase - first.phase)
@@ -110,15 +110,15 @@ class SecondValues:
         return False
 
 
-START_SAMPLES = 4  # after a start a position without a value waits so long for one
-LONGEST_GAP = 100  # intervals without a value: after that the sensor may count from elsewhere
+START_SAMPLES = 4  # samples after a start for which a position waits for the first value
+LONGEST_GAP = 100  # intervals without a value; after that the sensor may have another origin
 
 
 class SecondPosition:
-    """Joins another sensor to the position of a chain.
+    """Compares another sensor with the position of a chain.
 
-    For each sample the chain calls :meth:`apply`, and what hears the sensor calls :meth:`hear` between
-    that of one sample and that of the next.
+    The chain calls :meth:`apply` for each sample, and the receiver of the sensor calls :meth:`hear` between
+    two of these calls.
     """
 
     def __init__(self, sensor: SecondSensor, reference: Reference) -> None:
@@ -128,27 +128,27 @@ class SecondPosition:
         self.witness, self._values = Witness(scale), SecondValues(scale)
         reference.join(self.witness)
         self.restart()
-        self.witness.proven = reference.had_position  # that one is believed
+        self.witness.proven = reference.had_position  # a position before the sensor is trusted
 
     def restart(self, keep: bool = False) -> None:
         self.witness.restart(keep)
         self._values.restart(keep)
         self._waited = self._samples_since_start = 0
         self.difference_cycles: float | None = None
-        """How much further the other sensor stands than the position; None while that is not known."""
+        """Other sensor minus position; None while that is not known."""
         self._forget_sample()
 
     def _forget_sample(self) -> None:
         self._place: tuple[Track, int, float] | None = None  # the last sample: place, status bits, time
         self._before: deque[Track] = deque(maxlen=MOST_LATE)  # places of the samples before it
-        self._samples = 0  # since a value was heard
-        self._all_taken = True  # the earlier samples of the same SYNC
+        self._samples = 0  # samples since :meth:`hear`
+        self._all_taken = True  # the earlier samples of the same SYNC were used
         self._heard: int | None = None
         self._restart_search()
 
     @property
     def is_waiting(self) -> bool:
-        """Since the start there were too few samples yet to know whether the machine turns."""
+        """True while there are too few samples since the start to know whether the machine turns."""
         return not self.witness.proven and self._samples_since_start <= 2 * START_SAMPLES
 
     def _restart_search(self) -> None:
@@ -180,11 +180,11 @@ class SecondPosition:
     ) -> tuple[int, int]:
         """Status bits and jump in cycles after a sample at ``time``, intervals.
 
-        ``taken``: it was there and good. ``alone``: no coarse track determines the speed. ``newest``: of
-        the samples of a SYNC.
+        ``taken``: the sample was used. ``alone``: no coarse track determines the speed. ``newest``: of the
+        samples of a SYNC.
         """
         taken = taken and self._all_taken and not bits & (RESIDUAL | COASTING)
-        if not newest:  # no value belongs to it
+        if not newest:  # it has no value
             self._all_taken = taken
             self._shift(jump)
             return self._bits(bits), jump
@@ -194,7 +194,7 @@ class SecondPosition:
         if not taken or lost != was_lost:
             self._restart_search()
         self._samples += 1
-        if not bits & COASTING:  # sample times have yet to confirm the start: no value can before
+        if not bits & COASTING:  # while sample times have to confirm the start, a value cannot
             self._samples_since_start += 1
         heard, self._heard = self._heard, None
         if heard is not None and self._place is not None:
@@ -240,7 +240,7 @@ class SecondPosition:
         witness = self.witness
         if bits & LOST or self._reference.estimator.lost:
             if witness.disagrees:
-                self._forget_origin()  # it may be wrong itself, and does not set a count right
+                self._forget_origin()  # the sensor may be wrong itself, so it must not correct a count
             witness.disagreeing = 0
             return bits if bits & LOST else lost_bits(bits)
         if not witness.proven:
@@ -269,7 +269,7 @@ class SecondPosition:
     def _compare(self, pair: Pair) -> None:
         witness, values = self.witness, self._values
         witness.origin = witness.origin or pair
-        # The offset is that at the first standstill, or where the zero pulse is known.
+        # The offset is final at the first standstill, or once the zero pulse is known.
         may_learn = not (witness.firm or witness.disagrees)
         if may_learn and (values.stands_still(pair) or self._reference.zero.referenced):
             witness.origin, witness.firm = pair, True
@@ -282,11 +282,11 @@ class SecondPosition:
             witness.disagreeing += 1
 
     def _earlier(self, pair: Pair, late: int) -> list[Pair]:
-        """What a value that is ``late`` at most belongs to: the samples before."""
+        """The pairs of a value with the last ``late`` samples before its own, from which it may be."""
         return [pair._replace(cycles=one.cycles, phase=one.phase) for one in [*reversed(self._before)][:late]]
 
     def _is_open(self, pair: Pair) -> bool:
-        """A value that may be late gives another count than one that is not."""
+        """True if the count depends on whether the value is late."""
         limit = self.witness.limit_cycles + PHASE_CYCLES
         away = map(self.witness.away_cycles, (pair, *self._earlier(pair, self._values.most_late)))
         here, *earlier = (counts_within(one, limit) for one in away)

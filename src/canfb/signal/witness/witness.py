@@ -1,20 +1,20 @@
-"""A sensor that knows the position without counting, held against the counted one.
+"""A witness: an absolute sensor with a tolerance, which is compared with the counted position.
 
-It has a value and a tolerance, and is believed k times in a row. What it may take away: three values
-beyond the tolerance contradict the position. What it may give: the speed that the count lacks
-(:class:`SpeedSearch`), and the count, where just one is within the tolerance, eight times.
+One value proves nothing. Three values in a row beyond the tolerance contradict the position. The missing
+speed is found by :class:`SpeedSearch`; the missing count if only one is within the tolerance, eight times in
+a row.
 
-**Speed**: by how many whole cycles per interval eq. 9 counts wrongly. The truth is y + c + s t with y as
-eq. 9 counts it, and whole numbers c and s. An absolute sensor shows how far the machine has really moved,
-with an error. Each pair of its values cuts the range of s,
+**Speed**: eq. 9 may count wrong by s whole cycles per interval. The true position is y + c + s t, with y as
+counted, and whole c and s. The sensor shows the true displacement, with an error. Each pair of its values
+limits s,
 
     |ahead_j - ahead_i - s (t_j - t_i)| <= error_ij,
 
-where ``ahead`` is its displacement less the counted one. One value may be false, by any d: beyond the
-error E of a pair a neighbour gives s >= d - E, and a value t intervals away s <= (d + E) / t, so that
-nothing is left once t >= 2 E + 1. The values that agree must span that long.
+where ``ahead`` is its displacement minus the counted one. One value may be false by any d. With E the error
+of a pair, its neighbour gives s >= d - E, and a value t intervals away s <= (d + E) / t: these exclude each
+other once t >= 2 E + 1. So the values that agree must span that time.
 
-The coarse track, one cycle per revolution (paper, section 4), is one with a value at every sample.
+The coarse track, one cycle per revolution (paper, section 4), has a value at every sample.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ import numpy as np
 
 from canfb.signal.second_position import SecondSensor
 
-MOST_VALUES = 512  # remembered; when there are more, every second one is forgotten, which only costs time
+MOST_VALUES = 512  # remembered; of more, every second is forgotten: the search then takes longer
 LEAST_VALUES = 3
-PHASE_CYCLES = 0.05  # of the counted displacement: noise and an uncorrected phase at both ends
+PHASE_CYCLES = 0.05  # error of the counted displacement: noise and an uncorrected phase at both ends
 
 
 class SpeedSearch:
     """Finds the whole cycles per interval that the counted speed lacks.
 
-    Two values differ from the truth by at most ``most_cycles``, or ``slope`` times the way between them,
-    and ``noise_cycles``.
+    The error of the displacement between two values is at most ``slope`` times that displacement, or
+    ``most_cycles`` if less, plus ``noise_cycles``.
     """
 
     def __init__(self, slope: float, most_cycles: float, noise_cycles: float) -> None:
@@ -46,14 +46,16 @@ class SpeedSearch:
         self.restart()
 
     def restart(self) -> None:
-        """The next value is the first. Eq. 9 must count without a gap from there on."""
+        """Begin at the next value. Eq. 9 must count without a gap from there on."""
         self._known = 0
-        self._error = 0.0  # the largest of a pair, cycles
+        self._error = 0.0  # largest error of a pair, cycles
         self._low, self._high = -math.inf, math.inf
 
     def feed(self, time: float, ahead_cycles: float, moved_cycles: float) -> int | None:
-        """The number, None as long as it is not certain. ``time`` in intervals; ``moved_cycles`` by the
-        sensor since any instant, ``ahead_cycles`` that less the counted one.
+        """Take a value; return the missing cycles per interval, None while they are not certain.
+
+        ``time`` in intervals; ``moved_cycles``: displacement by the sensor, from any origin;
+        ``ahead_cycles``: that minus the counted one.
         """
         known = self._known
         if known and time > self._values[0, known - 1]:
@@ -83,14 +85,14 @@ class SpeedSearch:
         self._known += 1
 
 
-DISAGREEING = 3  # values in a row: a single one may be a fault of the bus
+DISAGREEING = 3  # values in a row that contradict: a single one may be a fault of the bus
 HYSTERESIS = 0.75  # a disagreement ends below this part of the tolerance
-PROVISIONAL = 2.0  # times the tolerance, for an offset that was learned in motion
-AGREEING = 8  # values in a row with the same shift of the count
+PROVISIONAL = 2.0  # factor on the tolerance while the offset is one that was learned in motion
+AGREEING = 8  # values in a row that must give the same shift of the count
 
 
 class Pair(NamedTuple):
-    """What both say of one instant.
+    """Position and value of the sensor at one instant.
 
     cycles, phase   the counted position
     value           of the sensor, unwrapped: increments, or revolutions
@@ -104,16 +106,15 @@ class Pair(NamedTuple):
 
 
 class Witness:
-    """``origin`` is a pair at which both stood for the same place, None: not known; ``firm``: for good.
+    """``origin`` is a pair at which both showed one place, None: not known; ``firm``: not provisional.
 
-    Its ``scale`` has distances of the sensor in cycles: how far it has moved, and how much further than the
-    count, and
+    ``scale`` converts displacements of the sensor to cycles, and has
 
-    tolerance_cycles  how far it may be from the position
-    step_cycles       of its value: so far it may be further off
-    slope             its error changes by so much of a way, until it is twice the tolerance
-    noise_cycles      of a value
-    steady_cycles     values that agree on a count differ by no more: if they drift, one does not follow
+    tolerance_cycles  largest difference from the position
+    step_cycles       resolution of the value, added to the tolerance
+    slope             change of its error per displacement, up to twice the tolerance
+    noise_cycles      noise of a value
+    steady_cycles     largest difference of values that agree on a count; a drift exceeds it
     period_cycles     period of its value
     """
 
@@ -130,9 +131,9 @@ class Witness:
         if not keep:
             self.forget()
         self.proven = False
-        """It has shown the speed since the start."""
+        """The witness has confirmed the speed since the start."""
         self.disagreeing = 0
-        """Values in a row that contradict the position."""
+        """Number of values in a row that contradict the position."""
         self.restart_search()
 
     def forget(self) -> None:
@@ -155,18 +156,18 @@ class Witness:
         return scale.tolerance_cycles * (1.0 if self.firm else PROVISIONAL) + scale.step_cycles
 
     def away_cycles(self, pair: Pair) -> float:
-        """How much further the sensor stands than the position; 0.0 while that is not known."""
+        """Sensor minus position; 0.0 while that is not known."""
         if self.origin is None:
             return 0.0
         away, period = self.scale.difference_cycles(self.origin, pair), self.scale.period_cycles
         return away if math.isinf(period) else away - period * math.floor(away / period + 0.5)
 
     def fits(self, pair: Pair) -> bool:
-        """The value is within the tolerance, or within 3/4 of it after one that was not."""
+        """True if the value is within the tolerance, or within 3/4 of it after one that was not."""
         return abs(self.away_cycles(pair)) <= self.limit_cycles * (HYSTERESIS if self.disagreeing else 1.0)
 
     def missing_speed(self, pair: Pair) -> int | None:
-        """What the counted speed lacks, cycles per interval; None: not certain."""
+        """The cycles per interval that the counted speed lacks; None: not certain."""
         self._first = first = self._first or pair
         scale = self.scale
         return self._search.feed(
@@ -174,7 +175,7 @@ class Witness:
         )
 
     def missing_count(self, pair: Pair) -> tuple[int, bool]:
-        """What the count lacks, cycles, and whether that is certain; else it is a count near the sensor."""
+        """The cycles that the count lacks, if certain (True); else cycles that bring it near the sensor."""
         away, limit = self.away_cycles(pair), self.limit_cycles
         counts = counts_within(away, limit + PHASE_CYCLES)
         if len(counts) != 1:
@@ -188,17 +189,17 @@ class Witness:
 
 
 def counts_within(away_cycles: float, limit_cycles: float) -> range:
-    """Whole cycles that bring the rest within the limit."""
+    """Whole cycles whose difference from ``away_cycles`` is within the limit."""
     return range(math.ceil(away_cycles - limit_cycles), math.floor(away_cycles + limit_cycles) + 1)
 
 
-LOWEST_AMPLITUDE = 0.1  # of the full scale: a coarse track below it is ignored
-NOISE_LSB = 4.0  # of the angle
-HARMONIC = 2  # of the revolution, the highest that the error of the coarse track may have
+LOWEST_AMPLITUDE = 0.1  # of the full scale; a coarse track below it is ignored
+NOISE_LSB = 4.0  # noise of the angle, in counts of its tracks
+HARMONIC = 2  # highest harmonic per revolution in the error of the coarse track
 
 
 class CoarseScale:
-    """Revolutions in cycles; the coarse track itself must be right within ``limit_revolutions`` (2010:05)."""
+    """Revolutions in cycles; the error of the coarse track is at most ``limit_revolutions`` (2010:05)."""
 
     step_cycles = 0.0
     steady_cycles = math.inf  # its error changes along the revolution
@@ -217,16 +218,17 @@ class CoarseScale:
         return self.moved_cycles(since, now) - (now.cycles - since.cycles) - (now.phase - since.phase)
 
 
-STEADY_CYCLES = 0.1  # values that agree on a count differ by no more
+STEADY_CYCLES = 0.1  # largest difference of values that agree on a count, beside the resolution
 
 
 class SecondScale:
-    """Distances of the two sensors in cycles.
+    """Displacements of the other sensor in cycles.
 
-    An increment is N d / n cycles: distances are counted in 1/n cycle, and only the last result is rounded.
+    An increment is a fraction of cycles: displacements are integers over its denominator, and only the
+    result is rounded.
     """
 
-    slope = 1.0  # the other sensor drives the machine
+    slope = 1.0  # the other sensor is on the drive, and may move alone by backlash
     period_cycles = math.inf
 
     def __init__(self, sensor: SecondSensor, cycles_per_revolution: int) -> None:
@@ -234,22 +236,22 @@ class SecondScale:
         self._cycles = -cycles.numerator if sensor.reversed else cycles.numerator
         self._per = cycles.denominator
         self.step_cycles = self.noise_cycles = float(cycles)
-        """One increment in cycles: how far the truth may be from a value."""
+        """One increment in cycles: the resolution."""
         self.steady_cycles = STEADY_CYCLES + 2.0 * self.step_cycles
         self.tolerance_cycles = sensor.tolerance_revolutions * cycles_per_revolution
 
     def difference_cycles(self, since: Pair, now: Pair) -> float:
-        """How much further the other sensor has moved than the encoder."""
+        """Displacement of the other sensor minus that of the encoder."""
         return self.moved_cycles(since, now, now.cycles - since.cycles) - (now.phase - since.phase)
 
     def moved_cycles(self, since: Pair, now: Pair, less_cycles: int = 0) -> float:
-        """How far the other sensor has moved, cycles, less ``less_cycles``: the nearest float."""
+        """Displacement of the other sensor, cycles, minus ``less_cycles``: the nearest float."""
         moved = (int(now.value) - int(since.value)) * self._cycles
         return (moved - less_cycles * self._per) / self._per
 
 
 class CoarseTrack(Witness):
-    """Of ``cycles_per_revolution``, that may differ by ``limit_revolutions``."""
+    """The coarse track of an encoder; its error is at most ``limit_revolutions``."""
 
     scale: CoarseScale
 

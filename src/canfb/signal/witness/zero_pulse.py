@@ -1,7 +1,8 @@
 """The zero pulse, once per revolution at the same place: it shows a wrong cycle count, and corrects it.
 
-One pulse may be false: two, whole revolutions apart, give its place. It is about a cycle wide: each direction
-has a place of its own, and until that is known a pulse only agrees with one of the other up to WIDEST_CYCLES.
+One pulse may be false: two, whole revolutions apart, give the place of the zero pulse. The pulse is about a
+cycle wide, so each direction has a place of its own; until that is known, a pulse of one direction agrees
+with one of the other within WIDEST_CYCLES.
 """
 
 from __future__ import annotations
@@ -9,12 +10,12 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple
 
-REMEMBERED = 3  # pulses that nothing has confirmed
-WIDEST_CYCLES = 1  # of a pulse: the edges of both directions are up to this many whole cycles apart, rounded
+REMEMBERED = 3  # pulses that are not confirmed
+WIDEST_CYCLES = 1  # largest distance of the edges of both directions, rounded to whole cycles
 
 
 class Pulse(NamedTuple):
-    """A zero pulse: the position at which its edge came, and when, sampling intervals since the start.
+    """A zero pulse: the position at its edge, and the time, sampling intervals since the start.
 
     ``direction`` of the machine there: 1, -1, or 0: not known.
     """
@@ -37,23 +38,23 @@ the count has slipped since"
 
 
 class ZeroPulse:
-    """Knows where the zero pulse comes, and weighs pulses that contradict it."""
+    """Finds the place of the zero pulse, and judges pulses that contradict it."""
 
     def __init__(self, cycles_per_revolution: int) -> None:
         self.cycles_per_revolution = cycles_per_revolution
         self.forget()
 
     def forget(self) -> None:
-        self._places: dict[int, Pulse] = {}  # by direction, once two pulses have told it
+        self._places: dict[int, Pulse] = {}  # by direction, from two pulses each
         self.forget_doubts()
 
     def forget_doubts(self) -> None:
         self._seen: list[Pulse] = []
-        self._has_first = True  # the first of them is still there
+        self._has_first = True  # the first pulse since then is still among them
 
     @property
     def referenced(self) -> bool:
-        """True once the place of the zero pulse is known, in a direction at least."""
+        """True once the place of the zero pulse is known in at least one direction."""
         return bool(self._places)
 
     def set_place(self, pulse: Pulse) -> None:
@@ -61,7 +62,7 @@ class ZeroPulse:
         self.forget_doubts()
 
     def weigh(self, here: Pulse) -> PulseVerdict:
-        """Take a pulse of a position that was valid up to here, seen at this count."""
+        """Judge a pulse at this count of a position that was valid up to here."""
         if here.direction in self._places and self.error_cycles(here) == 0:
             self.forget_doubts()
             return PulseVerdict.AGREES
@@ -81,7 +82,7 @@ class ZeroPulse:
         if here.direction in self._places:
             self.forget_doubts()
             return PulseVerdict.WRONG
-        if self._places:  # of the other direction: it may say how wrong the count is, this one does not
+        if self._places:  # only in the other direction: this pulse cannot show the error of the count
             if not all(self._is_near(one, here) for one in self._places.values()):
                 return PulseVerdict.CONTRADICTS
             self.set_place(here)
@@ -94,7 +95,7 @@ class ZeroPulse:
         return not self._places or here.direction in self._places
 
     def error_cycles(self, here: Pulse) -> int:
-        """How many cycles the count is too high at this pulse: 0 if all is well, or that is not known."""
+        """Cycles by which the count is too high at this pulse: 0 if it is right, or that is not known."""
         if here.direction in self._places:
             return self._away(self._places[here.direction], here)
         away = [self._away(place, here) for place in self._places.values()]
@@ -107,7 +108,7 @@ class ZeroPulse:
         return error - n if error > n // 2 else error
 
     def agree(self, one: Pulse, here: Pulse) -> bool:
-        """They are whole revolutions apart, in one direction."""
+        """True if the pulses are one or more whole revolutions apart, in one direction."""
         return one.direction == here.direction and self._is_near(one, here) and not self._is_again(one, here)
 
     def _is_near(self, place: Pulse, here: Pulse) -> bool:
