@@ -22,9 +22,10 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import EDS
 
-# Always accepted, and lets others be written: the lower one of two amplitudes.
+# Values that are always accepted, so that others can be written: 0 for the lowest amplitude.
 OPENING: dict[Place, int] = {od.ENCODER_LOWEST_AMPLITUDE: 0}
-# What follows the other parameters: any lower amplitude is accepted after the full scale, up to the upper.
+# Written after the other parameters, in this order: after the full scale, any lowest amplitude is accepted
+# until the highest one is written.
 LAST_PARAMETERS: tuple[Place, ...] = (
     od.ENCODER_FULL_SCALE,
     od.ENCODER_LOWEST_AMPLITUDE,
@@ -46,7 +47,7 @@ class Setting(NamedTuple):
 
     @property
     def off(self) -> Any:
-        """The value that lets others be written; None: it blocks none."""
+        """The value at which other parameters can be written; None: it blocks none."""
         opening = OPENING.get(self.place)
         return switched_off(self.entry, self.value) if opening is None else opening
 
@@ -60,10 +61,10 @@ class Setting(NamedTuple):
 
 @dataclass(frozen=True)
 class DeviceConfiguration:
-    """All parameters of one module that SDO can write, whether they differ from a default or not.
+    """All parameters of one module that SDO can write, including those at their default.
 
     `table` is the content of 2020:01, empty for the identity. The preset, which needs a position, is not
-    there.
+    included.
     """
 
     node_id: int
@@ -76,7 +77,7 @@ class DeviceConfiguration:
         return zlib.crc32(self.table) if self.table else 0
 
     def values(self, *, with_table: bool = True) -> dict[Place, Any]:
-        """What a DCF holds: the bytes of the table only `with_table`, 2020:03 in any case."""
+        """The values for a DCF: the bytes of the table only `with_table`, 2020:03 in any case."""
         values = {setting.place: setting.value for setting in self.settings}
         if with_table and self.table:
             values[od.TABLE_STAGED] = self.table
@@ -84,10 +85,10 @@ class DeviceConfiguration:
         return values
 
     def writes(self) -> list[Write]:
-        """SDO writes that a module in Pre-operational takes one after the other, for any previous content.
+        """SDO writes in an order that a module in Pre-operational accepts, whatever it held before.
 
-        Everything is switched off; then the parameters, the table with the conditioning, the numbers of
-        mapped objects, 1006h, the COB-IDs, and at last 1020h, which any other write would clear.
+        First all is switched off; then the parameters, the table with the conditioning, the numbers of
+        mapped objects, 1006h, the COB-IDs, and last 1020h, which any other write would clear.
         """
         first = [setting.write(setting.off) for setting in self.settings if setting.off is not None]
         rest = [setting for setting in self.settings if setting.off != setting.value]
@@ -105,7 +106,9 @@ class DeviceConfiguration:
         }
 
     def refused_in_index_order(self) -> list[Place]:
-        """What factory defaults refuse when each object is written once, ascending; PDOs first."""
+        """Objects that a module with factory defaults refuses, if each is written once, PDOs first, then in
+        the order of indices.
+        """
         module = FeedbackModule(ModuleConfig.factory(self.node_id))
         module.start(0.0)
         pdos = [write for write in self.writes() if write.index in _PDOS]
@@ -132,14 +135,14 @@ def configuration_of(module: FeedbackModule) -> DeviceConfiguration:
 def configuration_read(
     node_id: int, read: Callable[[Entry], Any], serial_number: int, table: bytes
 ) -> DeviceConfiguration:
-    """Of the module `node_id`, 1..127, whose values are `read(entry)`."""
+    """The configuration of the module `node_id`, 1..127, whose values are `read(entry)`."""
     template = FeedbackModule(ModuleConfig.factory(node_id, serial_number))
     return _collect(template, read, table)
 
 
 def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes) -> DeviceConfiguration:
     entries = module.storage.entries.settings()
-    settings = tuple(  # a REAL32 has fewer digits than what a configuration gives
+    settings = tuple(  # rounded to the digits of a REAL32
         Setting(one, datatypes.decode(one.data_type, datatypes.encode(one.data_type, read(one))))
         for one in entries
     )
@@ -152,13 +155,13 @@ def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes)
     )
 
 
-IDENTITY = (od.DEVICE_TYPE, od.IDENTITY_VENDOR_ID, od.IDENTITY_PRODUCT_CODE)  # what a module is known by
+IDENTITY = (od.DEVICE_TYPE, od.IDENTITY_VENDOR_ID, od.IDENTITY_PRODUCT_CODE)  # identifies a module of canfb
 ACTIVE_CONDITIONING = struct.Struct(f"<{len(od.CONDITIONING)}f")
 CHANGED = "the table changed while it was read; try again"
 
 
 class Objects(Protocol):
-    """A node on a bus; CanfbError for what cannot be read."""
+    """A node on a bus; CanfbError if an object cannot be read."""
 
     @property
     def node_id(self) -> int:
@@ -176,9 +179,9 @@ class Objects(Protocol):
 
 
 def read_configuration(objects: Objects) -> DeviceConfiguration:
-    """Of a module on a bus. CanfbError if it cannot be read, or is not of canfb.
+    """The configuration of a module on a bus. CanfbError if it cannot be read, or is not of canfb.
 
-    Table and conditioning are those in force: between an upload and its activation 2002h holds values of
+    Table and conditioning are those in force: between an upload and its activation, 2002h may belong to
     another table.
     """
     dictionary = Dictionary.load(eds_path(EDS), objects.node_id)
@@ -221,7 +224,7 @@ def _read_table(objects: Objects, dictionary: Dictionary) -> bytes:
     return table
 
 
-# What `save` keeps as well, and no master can write back: a preset needs a valid position at standstill.
+# Also kept by `save`, but no master can write them back: a preset needs a valid position at standstill.
 OF_THE_MACHINE = (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE)
 
 
@@ -232,18 +235,18 @@ def backup_values(configuration: DeviceConfiguration) -> dict[Place, Any]:
 def restored_configuration(
     values: Mapping[Place, Any], before: Mapping[Place, Any], table: bytes, made_for: int, node_id: int
 ) -> DeviceConfiguration:
-    """What `node_id` is to be, of the `values` of a backup `made_for` another one, both 1..127.
+    """The configuration for `node_id` from the `values` of a backup `made_for` another node, both 1..127.
 
-    What the backup does not have stays as `before`.
+    Values that the backup lacks stay as `before`.
     """
     merged = dict(before) | moved_values(values, made_for, node_id)
     return configuration_read(
         node_id, lambda entry: merged[entry.index, entry.subindex], serial_number=0, table=table
-    )  # without its serial number, which SDO does not write
+    )  # SDO does not write the serial number
 
 
 def moved_values(values: Mapping[Place, Any], old: int, new: int) -> dict[Place, Any]:
-    """CAN-IDs that are the default of node `old` become those of `new`."""
+    """`values` with the CAN-IDs that are defaults of node `old` replaced by those of node `new`."""
     dictionary = Dictionary.load(eds_path(EDS), old)
     moved = dict(values)
     for place, value in values.items():
@@ -255,14 +258,14 @@ def moved_values(values: Mapping[Place, Any], old: int, new: int) -> dict[Place,
 
 @dataclass(frozen=True)
 class ConfigurationFiles:
-    """Where a configuration is written to, and how.
+    """The files of a configuration.
 
-    out            the DCF; None: module-20h.dcf, with the node-ID of the module
-    concise        the concise form (1F22h), None: not written
+    out            path of the DCF; None: module-20h.dcf, with the node-ID of the module
+    concise        path of the concise form (1F22h), None: not written
     table_inline   the table is in the DCF, too
-    reals          how REAL32 are written
+    reals          format of REAL32
     node_name      NodeName of the DCF, empty: module_20h
-    bus_words      python-can's own, for bitrate and channel
+    bus_words      settings for python-can: bitrate and channel
     """
 
     configuration: DeviceConfiguration
@@ -282,7 +285,7 @@ class ConfigurationFiles:
         return self.path.with_suffix(".table.bin") if self.configuration.table else None
 
     def write(self, date: str, time: str) -> None:
-        """``date`` mm-dd-yyyy, ``time`` hh:mmAM (CiA 306). CanfbError."""
+        """Write the files; ``date`` mm-dd-yyyy, ``time`` hh:mmAM (CiA 306). CanfbError."""
         write_whole(self.path, self._text(date, time).encode("ascii", errors="replace"))
         if self.table_path is not None:
             write_whole(self.table_path, self.configuration.table)
@@ -339,5 +342,5 @@ class ConfigurationFiles:
 
 
 def place_names(places: list[Place]) -> str:
-    """1017:00, 2010:03."""
+    """For example "1017:00, 2010:03"."""
     return ", ".join(od.place_text(place) for place in places)

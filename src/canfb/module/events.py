@@ -1,4 +1,4 @@
-"""Changes of state of a node and of a module, as events: a line of a log, and the same for programs."""
+"""Changes of state of a node and of a module, as events: a line for a log, and values for programs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Value = bool | float | int | str | list[str] | None
 
 
 class EventKind(StrEnum):
-    """The value is the name that programs read."""
+    """Kinds of events; the values are the names for programs."""
 
     NMT = "nmt"
     SYNC_FOUND = "sync_found"
@@ -38,13 +38,13 @@ class EventKind(StrEnum):
     EMCY = "emcy"
 
 
-# What comes with single samples, or repeats what another event says.
+# Events of single samples, and those that repeat another event.
 DETAILS = frozenset({EventKind.FAULT, EventKind.EMCY})
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """``text``, and the same for programs, at ``time_s`` on the clock of `now`."""
+    """``text``, and ``values`` for programs, at ``time_s`` on the clock of `now`."""
 
     kind: EventKind
     time_s: float
@@ -53,7 +53,7 @@ class Event:
 
 
 class NodeEvents(Application):
-    """Calls ``on_event`` with what any node has to say; ``detailed``: each EMCY, too."""
+    """Calls ``on_event`` with the events of any node; ``detailed``: each EMCY, too."""
 
     def __init__(self) -> None:
         self.on_event: Callable[[Event], None] | None = None
@@ -94,10 +94,10 @@ ANOTHER_RATE = 0.05  # relative change of the SYNC rate that is an event
 
 
 class EventWatch(NodeEvents):
-    """Those of a module, too: SYNC, first sample, position, table; ``detailed``: single faults.
+    """Adds the events of a module: SYNC, first sample, position, table; ``detailed``: single faults.
 
-    :meth:`follow` must see each sample whose status word is not ``status``, and nothing else.
-    ``unconfirmed()`` says why a position without a fault is not valid yet, "": not known.
+    :meth:`follow` must get each sample whose status word is not ``status``, and no other.
+    ``unconfirmed()`` returns why a position without a fault is not valid yet, "": not known.
     """
 
     def __init__(self, dictionary: Dictionary, limits: Limits, loss: LastLoss) -> None:
@@ -116,7 +116,7 @@ class EventWatch(NodeEvents):
         self._state: PositionState | None = None
         self._causes = 0
         self._not_valid_s = 0.0
-        self._was_valid = False  # the position, at any time
+        self._was_valid = False  # the position was valid at some time
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
         self._rate_hz = 0.0
@@ -124,7 +124,7 @@ class EventWatch(NodeEvents):
         super().state_changed(old, new, now, why)
 
     def synced(self, interval_s: float, now: float) -> None:
-        """SYNCs come as expected; not called with each."""
+        """SYNC has the interval ``interval_s``; not called for each SYNC."""
         known = self._rate_hz
         if not interval_s or abs(known * interval_s - 1.0) <= ANOTHER_RATE:
             return
@@ -222,7 +222,7 @@ class EventWatch(NodeEvents):
     def _reasons(self, feedback: Feedback, bits: int) -> list[str]:
         limit, residual = self._limits.in_force.residual_limit, feedback.residual
         over = f"residual {residual:.3f} over {limit:.3f} cycle"
-        # In doubt, a sample whose residual is small may still contradict those before it.
+        # In doubt, a sample with a small residual may still contradict those before it.
         fits_not = f"residual {residual:.3f} cycle, within {limit:.3f}: contradicts the samples before"
         figures = {
             RESIDUAL: over if residual >= limit else fits_not,

@@ -50,8 +50,8 @@ class FeedbackModule(NodeDevice):
 
     A ``source`` provides the sample of each SYNC in OPERATIONAL at that SYNC; RPDO1 is then off.
     ``on_source`` is called with one line when it fails, works again or has ended; ``on_warning``
-    when the speed approaches the limit set by the SYNC jitter; ``events`` has what happens as
-    :class:`.Event`. ValueError if ``config.source`` names a source and none is given; TypeError for a
+    when the speed approaches the limit set by the SYNC jitter; ``events`` reports each :class:`.Event`.
+    ValueError if ``config.source`` names a source and none is given; TypeError for a
     ``config`` that is not a :class:`canfb.ModuleConfig`.
     """
 
@@ -150,8 +150,8 @@ class FeedbackModule(NodeDevice):
             dictionary, self.chain, self._tables, self._observers, self._publishing.objects.calibrating
         )
         for kept in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE):
-            storage.entries.keep(*kept)  # a preset by its value alone: 6509h is what it led to
-        storage.entries.save_as(  # below the lowest, as it may be after another scale, a start refuses it
+            storage.entries.keep(*kept)  # without the write hook of a preset: 6509h is its result
+        storage.entries.save_as(  # below the lowest, as after a new full scale, a start would refuse it
             *od.ENCODER_HIGHEST_AMPLITUDE,
             lambda: max(
                 dictionary.entry(*od.ENCODER_HIGHEST_AMPLITUDE).value,
@@ -164,15 +164,12 @@ class FeedbackModule(NodeDevice):
 
     @property
     def feedback(self) -> Feedback | None:
-        """Every stage of the last sample; None: none yet."""
+        """Every stage of the last sample; None before the first."""
         return self._publishing.last
 
     @property
     def on_feedback(self) -> Callable[[Feedback, float], None] | None:
-        """Called as (feedback, now) with each feedback, also for missed samples.
-
-        Its PDOs are not sent yet.
-        """
+        """Called as (feedback, now) with each feedback, also for missed samples, before its PDOs are sent."""
         return self._publishing.on_feedback
 
     @on_feedback.setter
@@ -181,17 +178,17 @@ class FeedbackModule(NodeDevice):
 
     @property
     def limits(self) -> ChainLimits:
-        """The same object until a limit changes."""
+        """The limits in force; the same object until a limit changes."""
         return self._limits.in_force
 
     @property
     def interval_s(self) -> float:
-        """From sample to sample, as measured, 1006h until it is; 0.0: not known."""
+        """The sampling interval: measured, before that 1006h; 0.0: not known."""
         return self._interval.sample_s
 
     @property
     def max_speed_rad_s(self) -> float:
-        """What the measured SYNC jitter allows, rad/s; inf with sample times and if not known."""
+        """The largest speed for the measured SYNC jitter, rad/s; inf with sample times and if not known."""
         return inf if self._pairing.timed else self._jitter.max_speed_rad_s
 
     def use_correction(self, correction: Correction) -> None:
@@ -199,7 +196,7 @@ class FeedbackModule(NodeDevice):
         self._tables.take_over(correction)
 
     def speed_limit(self) -> str:
-        """One line: how fast the machine may turn for a jitter of SYNC, by 4 v jitter < residual limit.
+        """One line: the largest speed for a given jitter of SYNC, by 4 v jitter < residual limit.
 
         Empty with sample times, several samples for each SYNC, or a source.
         """
@@ -207,7 +204,7 @@ class FeedbackModule(NodeDevice):
         return "" if config.times or config.source or config.samples_per_sync > 1 else self._jitter.in_words()
 
     def end(self, now: float) -> None:
-        """The program ends: the operating time is stored."""
+        """Store the operating time: the program ends."""
         self._operating_time.keep(now)
 
     def bus_off(self, now: float) -> list[Frame]:
@@ -221,7 +218,7 @@ class FeedbackModule(NodeDevice):
         return frames
 
     def pending_job(self) -> CalibrationJob | None:
-        """A pending computation of several seconds, or None; poll it: another one makes the last obsolete.
+        """A pending computation of several seconds, or None; to be polled: a new job makes the last obsolete.
 
         Call the job, in another process if frames must not wait, and pass its result, or the Exception that
         it raised, to :meth:`finish_job`.
@@ -229,19 +226,19 @@ class FeedbackModule(NodeDevice):
         return self._calibrating.job
 
     def finish_job(self, job: CalibrationJob, result: Outcome | Exception, now: float) -> list[Frame]:
-        """Take the ``result`` of a ``job``; the frames to send.
+        """Take the ``result`` of a ``job``; returns the frames to send.
 
-        Nothing happens if the job is obsolete. An Exception refuses the measurement.
+        No effect if the job is obsolete. An Exception refuses the measurement.
         """
         self._calibrating.finish(job, result)
         return []
 
     def job_progress(self, job: CalibrationJob, part: float) -> None:
-        """The fraction ``part``, 0..1, of the ``job`` is done: for 2030:03."""
+        """Set the fraction ``part``, 0..1, of the ``job`` that is done, for 2030:03."""
         self._calibrating.computed(job, part)
 
     def _on_followed(self, received_s: float, stamped: bool) -> None:
-        """An event after a pause; and the jitter is measured if receive times are known, sample times not."""
+        """Report SYNC found; check the speed against its jitter with receive times but no sample times."""
         self._limits.follow()
         self.events.synced(self._syncs.grid.period, received_s)
         last = self._publishing.last
@@ -263,13 +260,13 @@ class FeedbackModule(NodeDevice):
     # Application: called by the node.
 
     def expired(self, now: float) -> None:
-        """No SYNC for 2010:06 periods: what can be read is not valid."""
+        """No SYNC for 2010:06 periods: the position is not valid in objects."""
         self._publishing.withhold()
 
     def overdue(self, now: float) -> None:
         """No SYNC and no sample for 2010:06 periods."""
         self.events.sync_lost(self._syncs.synced_s, now)
-        self._life.services.pdos.forget_sampled()  # a remote request would get a position that was valid
+        self._life.services.pdos.forget_sampled()  # a remote request would get a position sampled as valid
         self._sampling.overdue(now)
 
     def check_write(self, entry: Entry | None) -> None:
@@ -301,7 +298,7 @@ class FeedbackModule(NodeDevice):
             for reset in self._resets:
                 reset()
         elif self._publishing.profile.alarms.value & ALARM_POSITION:
-            self._publishing.outdated(now)  # an error that persists is told again
+            self._publishing.outdated(now)  # an error that persists is reported again
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
         """Bit 12 of 6503h while there are ``faults``, and EMCY 6310h."""
@@ -309,7 +306,7 @@ class FeedbackModule(NodeDevice):
         super().parameters_refused(faults, now)
 
     def configuration_changed(self) -> None:
-        """PDO parameters or the NMT state."""
+        """PDO parameters or the NMT state have changed."""
         other_input = self._input.configure()
         self._pairing.usual = NO_RPDO
         source, timed = self._source, self._pairing.timed

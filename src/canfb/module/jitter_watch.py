@@ -1,4 +1,4 @@
-"""Without sample times the jitter of SYNC limits the speed: says so before the position is lost."""
+"""Warns, before the position is lost, that the jitter of SYNC limits the speed without sample times."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from canfb.signal.sample import Feedback
 from canfb.signal.supervision import VALID
 from canfb.timing.syncs import Syncs
 
-PEAK = 2.5  # times the mean deviation of SYNC: 2 for a uniform one, 3 standard deviations are 3.8
-NEAR, AWAY = 0.7, 0.5  # of the largest speed: where the warning comes, and where it may come again
-SHORTEST_S = 10.0  # from one warning to the next
+PEAK = 2.5  # peak over mean deviation of SYNC: 2 for a uniform distribution, 3.8 for 3 standard deviations
+NEAR, AWAY = 0.7, 0.5  # parts of the largest speed: above NEAR a warning, below AWAY it is armed again
+SHORTEST_S = 10.0  # time from one warning to the next
 EXAMPLES_US = (10, 100)
 
 
 class JitterWatch:
-    """Compares the speed with what 4 v j < L - a allows for the measured jitter j (docs/time.md).
+    """Compares the speed v with the limit 4 v j < L - a for the measured jitter j (docs/time.md).
 
-    Without receive times nothing is said. ``warn`` gets one line.
+    Not without receive times. ``warn`` gets one line.
     """
 
     def __init__(
@@ -41,18 +41,18 @@ class JitterWatch:
 
     @property
     def jitter_s(self) -> float:
-        """Peak deviation of a SYNC from its lock, seconds."""
+        """Peak deviation of a SYNC from its grid, seconds."""
         return PEAK * self._syncs.grid.deviation
 
     @property
     def max_speed_rad_s(self) -> float:
-        """The largest speed for this jitter, rad/s; inf without, or with several samples a SYNC."""
+        """The largest speed for the measured jitter, rad/s; inf without, or with several samples per SYNC."""
         limits = self.jitter_s > 0.0 and self._interval.samples_per_sync == 1
         return self._max_speed(self.jitter_s) if limits else math.inf
 
     def _max_speed(self, jitter_s: float) -> float:
         limits = self._limits.in_force
-        most = 4.0 * limits.phase_error if limits.acceleration_waits else 0.5  # left at any interval
+        most = 4.0 * limits.phase_error if limits.acceleration_waits else 0.5  # margin for any interval
         left = min(most, limits.residual_limit - (limits.acceleration or 0.0))
         return max_speed(self._cycles_per_revolution.value, jitter_s, left) if left > 0.0 else 0.0
 
@@ -61,7 +61,7 @@ class JitterWatch:
         return f"without sample times the jitter of SYNC limits the speed: {', '.join(speeds)}"
 
     def look(self, last: Feedback, now: float) -> None:
-        """After ``last``, not with each sample; ``now`` in seconds."""
+        """Check the speed of ``last``, at ``now`` in seconds; not needed for each sample."""
         interval_s = self._syncs.grid.period / self._interval.samples_per_sync
         if not interval_s or not last.status & VALID:
             return

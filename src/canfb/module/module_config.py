@@ -14,19 +14,19 @@ from canfb.signal.second_position import SecondSensor
 from canfb.sources.protocol import SourceConfig
 
 LOWEST_COB_ID, HIGHEST_COB_ID = 0x181, 0x57F
-MOST_GAP_BYTES = 4  # of a PDO with an INTEGER32
+MOST_GAP_BYTES = 4  # left beside an INTEGER32 in a PDO of 8 bytes
 BYTE, TWO_BYTES, FOUR_BYTES = 0x00050008, 0x00060010, 0x00070020  # dummy objects (CiA 301, 7.4.4)
-GAPS = ((), (BYTE,), (TWO_BYTES,), (TWO_BYTES, BYTE), (FOUR_BYTES,))  # by their bytes
+GAPS = ((), (BYTE,), (TWO_BYTES,), (TWO_BYTES, BYTE), (FOUR_BYTES,))  # by the number of bytes
 VALUE = 0x20000E20
 
 
 @dataclass(frozen=True, kw_only=True)
 class SecondPositionConfig(SecondSensor):
-    """The other sensor, and where its value is on the bus.
+    """The other sensor, and the PDO that carries its value.
 
-    cob_id         385..1407 (181h..57Fh), of the PDO, for the first free RPDO. None: a master maps 2000:0E
-    before_bytes   of that PDO before the value, 0..4
-    after_bytes    of that PDO after the value, 0..4; with those before it at most 4
+    cob_id         of that PDO, 385..1407 (181h..57Fh), for the first free RPDO. None: a master maps 2000:0E
+    before_bytes   bytes of that PDO before the value, 0..4
+    after_bytes    bytes of that PDO after the value, 0..4; with those before it at most 4
     """
 
     cob_id: int | None = None
@@ -40,7 +40,7 @@ class SecondPositionConfig(SecondSensor):
 
     @property
     def mapping(self) -> list[int]:
-        """Of its RPDO: the value between dummy objects."""
+        """The mapping of its RPDO: the value between dummy objects."""
         return [*GAPS[self.before_bytes], VALUE, *GAPS[self.after_bytes]]
 
 
@@ -49,7 +49,7 @@ MOST_ACCELERATION_RAD_S2 = 1e9  # 2010:02
 MOST_DECLARED_S = 1.0  # 2010:0D, 2010:0E
 
 
-WITHOUT_BUS = {  # and what a module has instead
+WITHOUT_BUS = {  # keys of a chain without a bus, and what a module has instead
     "max_acceleration_cycles": "max_acceleration_rad_s2",
     "interval_s": "a module measures it, or reads 1006h",
 }
@@ -62,34 +62,34 @@ class ModuleConfig(ChainConfig):
 
     node_id                  of the module, 1..127, required; 255: none yet, an LSS master assigns one. A
                              node-ID stored by LSS in state_dir takes precedence
-    serial_number            of the device, 0..4294967295 (1018:04): an LSS master distinguishes equal modules
-                             by it
-    encoder_interface        the node whose TPDO1 carries the ADC counts, 1..127; not node_id. Not used
-                             with a source
+    serial_number            of the device, 0..4294967295 (1018:04), by which an LSS master distinguishes
+                             equal modules
+    encoder_interface        node-ID of the encoder interface, whose TPDO1 carries the ADC counts, 1..127; not
+                             node_id. Not used with a source
     times                    True: the ADC PDO carries the interface's sample time after sine and cosine
-                             (RPDO1: 2000:01, :02, :05), 8 bytes; with several samples the next PDO that has
+                             (RPDO1: 2000:01, :02, :05), 8 bytes; with several samples, the first PDO that has
                              room for it. Not used with a source
     samples_per_sync         1..8 pairs of sine and cosine for each SYNC, two in each TPDO of the encoder
                              interface (2000:01, :02, :08..0D, :0F..16), then the time: with ``times`` at
-                             most 7. With a source of kind iio: that it gives
-    source                   of the samples; None: the ADC PDO
-    max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0 = not known
-    noise_margin             0..255 (2010:09): where a known acceleration narrows the residual limit,
-                             the margin is this many standard deviations of the measured noise, and no more
-                             than the fixed one; 0: the fixed margin. 6 is usual
-    predict                  what synchronous TPDOs send, 0..2 (2013:01): False the measured position, True
-                             (or 1) that at their SYNC with constant speed, 2 with constant acceleration
+                             most 7. With a source of kind iio: pairs that it is to give
+    source                   source of the samples; None: the ADC PDO
+    max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0: not known
+    noise_margin             0..255 (2010:09): standard deviations of the measured noise that replace the
+                             fixed margin of a residual limit narrowed by the acceleration, if they are less;
+                             0: the fixed margin. 6 is usual
+    predict                  position in synchronous TPDOs, 0..2 (2013:01): False or 0 measured, True or 1
+                             extrapolated to their SYNC at constant speed, 2 at constant acceleration
     nominal_sync             True: with ``times`` the position is that of a SYNC without jitter (2013:02)
     sync_timeout_periods     2..255 periods without SYNC or sample until the position is not valid
                              (2010:06)
-    answer_delay_s           0..1 s, the longest from SYNC to ADC PDO (2010:0E); 0: less than a period
+    answer_delay_s           longest delay from SYNC to ADC PDO, 0..1 s (2010:0E); 0: less than a period
     second_position          another sensor of the machine, such as the motor encoder of the drive, that is
                              compared with the position (2014h); None: none
     state_dir                folder for the data of `save` (1010h), relative to the working directory, created
                              if missing; None: nothing is saved. `canfb run` uses it; each module has its own
     autostart                True: OPERATIONAL without a master
     write_lock               when parameters, table and node-ID can be written over the bus (2040:01): "none"
-                             always, "preop" not in OPERATIONAL, "code" not without unlock_code
+                             always, "preop" not in OPERATIONAL, "code" only with unlock_code
     unlock_code              0..4294967295, for write_lock "code" (2040:02); 0: none
     """
 
@@ -158,11 +158,11 @@ class ModuleConfig(ChainConfig):
 
     @classmethod
     def factory(cls, node_id: int, serial_number: int = 0) -> ModuleConfig:
-        """Defaults, of any node-ID."""
+        """The defaults, for any node-ID."""
         interface = cls.encoder_interface + (node_id == cls.encoder_interface)
         return cls(node_id=node_id, serial_number=serial_number, encoder_interface=interface)
 
     @property
     def adc_pdos(self) -> int:
-        """RPDOs for the samples: two pairs, or one and the time, fill one."""
+        """Number of RPDOs for the samples: each holds two pairs, or one and the time."""
         return (self.samples_per_sync + self.times + 1) // 2

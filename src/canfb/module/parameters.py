@@ -1,4 +1,4 @@
-"""Between configuration, object dictionary and signal chain: factory defaults, and the limits in force.
+"""From configuration to object dictionary (factory defaults), and from there to the chain (limits in force).
 
 A configuration replaces defaults of the EDS; after that the dictionary alone is read.
 """
@@ -65,7 +65,7 @@ def factory_dictionary(config: ModuleConfig, *, samples_itself: bool = False) ->
     """The EDS with the defaults of ``config``; ``samples_itself``: a source replaces the ADC PDO."""
     dictionary = Dictionary.load(eds_path(EDS), config.node_id)
     apply_defaults(dictionary, configured_defaults(config))
-    if samples_itself:  # its RPDO1 is not valid
+    if samples_itself:  # its ADC PDOs are not valid
         pdos = {place: value for place, value in adc_pdos(config).items() if place[0] < od.RPDO_MAPPING}
         apply_defaults(dictionary, {place: cob.NOT_VALID | value for place, value in pdos.items()})
     return dictionary
@@ -104,7 +104,7 @@ def _adaptation(config: ModuleConfig) -> Values:
     if used is None:
         return {od.ADAPTATION: 0}
     bounds = {place: getattr(used, name) for name, place in ADAPTATION_BOUNDS.items()}
-    # Not 0, which would turn it off.
+    # A small bound must not be rounded to 0, which would turn it off.
     return {od.ADAPTATION: 1} | {
         place: max(1, round(value / ADAPTATION_UNIT)) if value else 0 for place, value in bounds.items()
     }
@@ -129,9 +129,9 @@ def _second_position(config: ModuleConfig) -> Values:
 
 
 def apply_defaults(dictionary: Dictionary, defaults: Values) -> None:
-    """Replace defaults and values: a reset comes back to these.
+    """Replace the defaults, to which a reset returns, and the values.
 
-    They hold for any node-ID: a COB-ID of another node does not move with that of this one.
+    They hold for any node-ID: the COB-ID of another node does not follow the node-ID of this one.
     """
     for (index, subindex), value in defaults.items():
         entry = dictionary.entry(index, subindex)
@@ -139,10 +139,11 @@ def apply_defaults(dictionary: Dictionary, defaults: Values) -> None:
         entry.reset()
 
 
-SAME_NARROWED, SAME_ANALOG = 0.002, 2e-4  # of the interval: no reason for new limits, other coefficients
-SAME_NOISE = 0.02  # of it: no reason for new limits
+# Relative changes of the interval below which limits, and coefficients of the analog path, are kept.
+SAME_NARROWED, SAME_ANALOG = 0.002, 2e-4
+SAME_NOISE = 0.02  # relative change of the noise below which limits are kept
 
-# What each of these objects may be; those without a range of their own take all that the EDS allows.
+# Ranges of objects that the EDS does not limit.
 RANGES: dict[od.Multiplexer, tuple[float, float]] = {
     od.ENCODER_CORNER_FREQUENCY: (0.0, MOST_CORNER_HZ),
     od.ENCODER_COSINE_CORNER_FREQUENCY: (0.0, MOST_CORNER_HZ),
@@ -169,12 +170,12 @@ APPLIED = (
 
 
 class Limits:
-    """Objects 2001:02..06 and 2010h, in force from the next sample on: by SDO, interval or measured noise.
+    """Applies 2001:02..06 and 2010h from the next sample on, after a write, a new interval or new noise.
 
     ``noise``     of the residual; :meth:`measured` is called with each block of it
     ``timed``     samples bring their time
-    ``shortest_s``, ``longest_s``  while the interval is between them, nothing is to be done
-    ``in_force``  what the chain has: the same object until :meth:`apply`
+    ``shortest_s``, ``longest_s``  an interval between them needs no :meth:`follow`
+    ``in_force``  the limits of the chain: the same object until :meth:`apply`
     """
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, interval: SamplingInterval) -> None:
@@ -192,9 +193,9 @@ class Limits:
         high.on_check = refuse_if(lambda value: value <= low.value and not self._upper_is_old)
         for place in APPLIED:
             entry(*place).on_written = self.apply
-        # After another full scale the upper amplitude is that of another converter until it is written: a
-        # lower one may pass it, so that a master can write the sub-indices in their order. No amplitude is
-        # accepted meanwhile.
+        # After a write of the full scale the highest amplitude is that of another converter until it is
+        # written. Until then the lowest amplitude may exceed it, so that a master can write the sub-indices
+        # in their order; no amplitude of a sample is accepted meanwhile.
         full_scale.on_written = lambda: self._scale_written(upper_is_old=True)
         high.on_written = lambda: self._scale_written(upper_is_old=high.value <= low.value)
 
@@ -207,12 +208,12 @@ class Limits:
         self.apply()
 
     def unit_changed(self) -> None:
-        """Those of the interval in which the next sample is counted."""
+        """Take the interval in which the next sample is counted."""
         self.interval.speed_unit_s = self._chain.unit_s
         self.follow()
 
     def follow(self) -> None:
-        """Before a sample, if the interval is not between :attr:`shortest_s` and :attr:`longest_s`."""
+        """Adapt the limits to the interval, before a sample."""
         known_s = self.interval.known_s
         if self.shortest_s < known_s < self.longest_s:
             return

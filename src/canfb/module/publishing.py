@@ -1,7 +1,7 @@
-"""What becomes of a feedback: objects, alarm, warnings, and the PDOs that go out with it.
+"""From a feedback to objects, alarm, warnings, events and the PDOs that are sent with it.
 
-Nearly each sample is valid, without a fault, after one with the same status word. Then only what the default
-PDOs carry is written here; all else is computed when it is read.
+A usual sample is valid, without a fault, and has the status word of the one before. Then only the objects in
+the default PDOs are written; all others are computed when they are read.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from canfb.signal.sample import FLAGGED_BITS, Feedback
 from canfb.signal.supervision import COASTING, VALID
 
 TPDOS = (1, 2, 3, 4)
-ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
+ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; type 0 is sent at the SYNC after the event
 FLAGGED_AND_VALID = FLAGGED_BITS | VALID
 
 
 class Publishing:
-    """Takes each :class:`Feedback` to all of these."""
+    """Passes each :class:`Feedback` to all of these."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class Publishing:
         return self.latest.feedback
 
     def publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
-        """Into the dictionary, and out if there is something new to say."""
+        """Write ``feedback`` to the dictionary; ``send`` event-driven TPDOs, alarm and warnings if needed."""
         _, _, amplitude, _, cycles, phase, residual, status, _, _, _, _ = feedback
         latest, warnings, profile = self.latest, self.warnings, self.profile
         usual = status == warnings.usual_status
@@ -108,7 +108,7 @@ class Publishing:
             self.on_feedback(feedback, now)
 
     def _alarm(self, feedback: Feedback, now: float) -> None:
-        """6503h and EMCY 7300h, unless a start is about to be confirmed."""
+        """6503h and EMCY 7300h; no EMCY while a start is being confirmed."""
         valid = bool(feedback.status & VALID)
         self.profile.alarm(ALARM_POSITION, not valid)
         if valid and not self.alarm.active:
@@ -119,7 +119,7 @@ class Publishing:
             self.events.fault(feedback, now)
 
     def _is_starting(self, feedback: Feedback) -> bool:
-        """Sample times, or the other sensor, have yet to confirm a start: no fault."""
+        """True while sample times or the other sensor have to confirm a start: that is no fault."""
         second = self._chain.second
         waits = second is not None and second.is_waiting
         return waits or (self._chain.searches and not feedback.status & FLAGGED_BITS & ~COASTING)

@@ -1,4 +1,4 @@
-"""Samples over NMT states, resets and silence; and why one is not valid."""
+"""Begin and end of sampling with NMT states, resets and silence; and why a position is not valid."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from canfb.signal.stages import CONFIRMING_SAMPLES
 from canfb.timing.grid import MEMORY
 from canfb.timing.syncs import Syncs
 
-GRID_SYNCS = 1024  # of several samples for each SYNC, which are taken by its interval
+GRID_SYNCS = 1024  # memory of the grid with several samples per SYNC, which depend on its interval
 
 
 class Sampling:
-    """Begins, pauses and ends the ``pairing`` of frames, and what the ``chain`` counts by it."""
+    """Begins, pauses and ends the ``pairing`` of frames, and the counting of the ``chain``."""
 
     def __init__(
         self,
@@ -30,8 +30,8 @@ class Sampling:
     ) -> None:
         self._syncs, self._interval, self._grid, self._limits = syncs, interval, grid, limits
         self._chain, self._pairing, self._publishing = chain, pairing, publishing
-        self._paused_s = self._interval_s = 0.0  # when counting ended; the interval until then
-        self._paused = False  # since then, up to the next sample
+        self._paused_s = self._interval_s = 0.0  # the last SYNC before a pause; its interval
+        self._paused = False  # from the end of a pause to the first sample
         pairing.on_first = self._go_on
         publishing.events.unconfirmed = self._why_unconfirmed
 
@@ -53,22 +53,22 @@ class Sampling:
             self._syncs.until = NEVER
 
     def uncounted(self, now: float) -> None:
-        """The bus is gone: SYNCs are not counted, and the position is lost."""
+        """Lose the position: the bus is off, and no SYNC is counted."""
         if self._pairing.sampled:
             self._publishing.publish(self._chain.lose(), now, send=False)
             self._pairing.begin()
 
     def pause(self, now: float) -> None:
-        """OPERATIONAL ends, or samples come in another way: what SDO reads is not valid."""
+        """End sampling: OPERATIONAL ends, or the mapping changes. The position is not valid in objects."""
         self._publishing.withhold()
         if not self._paused:
-            grid = self._syncs.grid  # the call of a late host may be later than the SYNC
+            grid = self._syncs.grid  # its last place: the call of a late host may be later than the SYNC
             self._paused_s = min(self._syncs.synced_s, grid.due - grid.period) if self._syncs.begun else now
             self._interval_s = self._interval.seconds
         self._pairing.begin()
 
     def resume(self, now: float) -> None:
-        """OPERATIONAL, for the first time or again."""
+        """Begin sampling: OPERATIONAL, for the first time or again."""
         chain, pairing = self._chain, self._pairing
         pairing.begin()
         pairing.unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
@@ -79,7 +79,7 @@ class Sampling:
         self._publishing.outdated(now)
 
     def _go_on(self, now: float) -> None:
-        """The first sample: nothing was counted since the last SYNC, whose sample may not have come."""
+        """At the first sample, go on after a pause: from the last SYNC, whose sample may not have come."""
         if self._paused:
             self._paused = False
             before_s = self._interval_s
@@ -87,7 +87,7 @@ class Sampling:
             self._chain.resume((now - self._paused_s) / before_s + 1.0 if known else NEVER)
 
     def configured(self, samples_per_sync: int, timed: bool) -> None:
-        """PDO parameters or the NMT state have changed: samples for each SYNC, ``timed`` or not."""
+        """Set the number of samples per SYNC, and whether they are ``timed``."""
         limits = self._limits
         if (samples_per_sync, timed) != (self._interval.samples_per_sync, limits.timed):
             self._interval.samples_per_sync, limits.timed = samples_per_sync, timed
@@ -97,7 +97,7 @@ class Sampling:
             limits.noise_changes()
 
     def forget_interval(self) -> None:
-        """After a reset another master may send SYNC at another rate."""
+        """Forget the rate of SYNC: after a reset another master may send another one."""
         self._syncs.forget()
         self._pairing.answers.forget()
         self._interval.speed_unit_s = 0.0
