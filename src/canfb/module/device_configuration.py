@@ -106,9 +106,7 @@ class DeviceConfiguration:
         }
 
     def refused_in_index_order(self) -> list[Place]:
-        """Objects that a module with factory defaults refuses, if each is written once, PDOs first, then in
-        the order of indices.
-        """
+        """Objects that factory defaults refuse, each written once: PDOs first, the rest ascending."""
         module = FeedbackModule(ModuleConfig.factory(self.node_id))
         module.start(0.0)
         pdos = [write for write in self.writes() if write.index in _PDOS]

@@ -5,7 +5,7 @@ measure first), and at most longer by LATEST periods (the PDO waits for other fr
 the jitter of SYNC (a timer locked to SYNC may take the samples). The PDO answers the SYNC to which its delay
 is in this range. A PDO that fits no SYNC is not used; ROW of them with one delay give a new least delay.
 Without receive times, a PDO answers the last SYNC.
-With a declared longest delay (2010:0E), a PDO may come after later SYNCs than its own.
+With a declared longest delay (2010:0E), it may come after later SYNCs.
 """
 
 from __future__ import annotations

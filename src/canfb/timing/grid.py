@@ -3,9 +3,9 @@
 SYNC comes at a fixed rate, and so do the samples that answer it. An instant is within the declared jitter
 of a place, or it is off the grid:
 
-- at a free place: it is the next one; the places that were passed over are missing,
-- at the place of the last instant: it is a second one,
-- off the grid: its place is unknown. ROW of them, regular among themselves, are the new grid.
+- at a free place: the next instant; places passed over are missing,
+- at the place of the last instant: a second one,
+- off the grid: nothing is known. ROW of them, regular among themselves, are the new grid.
 
 t0 and T are a least squares fit, in recursive form, to the last ``memory`` instants. The deviation from the
 fit is measured, but never narrows what is allowed: past deviations do not bound future ones.
@@ -173,7 +173,7 @@ class Grid:
     def refuse(self, instant: float) -> bool:
         """Note an instant that was not in turn; True if the last ROW are another grid: :meth:`set_again`.
 
-        They are if they are regular, and none was in turn or their interval is not the period.
+        They are if regular, and none was in turn or their interval is not the period.
         """
         self._keep(instant, False, ROW)
         return len(self.row) == ROW and is_regular(self.row) and self._is_another
@@ -264,7 +264,7 @@ def _lowest(instants: list[float]) -> list[float]:
 def _waited(line: list[float], calls: list[float], period: float, early: bool) -> bool:
     """True if the calls on ``line`` follow each other too fast for a grid: they have queued.
 
-    They have not if all of MOST_CALLS are as fast, and ``early``: several were early.
+    Not if all MOST_CALLS are as fast, and several were ``early``.
     """
     apart, all_apart = ((one[-1] - one[0]) / (len(one) - 1) for one in (line, calls))
     return apart < TOGETHER * period and (

@@ -1,8 +1,8 @@
 """Alarm and warnings of CiA 406 (6503h, 6505h, 6506h), and their EMCY.
 
-The alarm is EMCY 7300h: the position is not valid. Its five bytes: the status word 2011:01 (2), the cause
-of the loss as 2012:10 (1), 2012:12 up to 255 (1), 0. The cause is 0 until the position is lost; a later loss
-has an EMCY of its own.
+The alarm is EMCY 7300h: the position is not valid. Its five bytes: the status word 2011:01 (2 bytes), the
+cause of the loss as in 2012:10 (1), 2012:12 up to 255 (1), 0. The cause is 0 until the position is lost; the
+loss then has an EMCY of its own.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from canfb.signal.sample import Feedback
 from canfb.signal.supervision import LOST, REFERENCED, SECOND_POSITION, VALID
 
 REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE
-SHORTEST_S = 0.1  # from one end of the alarm to the next: ten pairs of EMCY a second at most
+SHORTEST_S = 0.1  # from one end of the alarm to the next: at most ten pairs of EMCY per second
 
 
 class PositionAlarm:
-    """Reports the alarm at once, its end no sooner than 0.1 s after the last one."""
+    """Reports the alarm at once, but its end no sooner than 0.1 s after the last end."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -49,7 +49,7 @@ class PositionAlarm:
 
 
 FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED, DISAGREES, DRIFT = (1 << n for n in (0, 1, 5, 12, 13))  # 6505h
-EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW | DISAGREES | DRIFT  # what each sample can bring or end
+EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW | DISAGREES | DRIFT  # warnings that each sample can begin or end
 CODES = {  # EMCY of each warning
     FREQUENCY: od.EncoderEmergency.FREQUENCY,
     AMPLITUDE_LOW: od.EncoderEmergency.AMPLITUDE_LOW,
@@ -66,9 +66,9 @@ NO_STATUS = -1  # no status word
 class Warnings:
     """Object 6505h, computed when it is read, and an EMCY for each warning in 2004:01.
 
-    A warning is reported with the sample that causes it, and ends when it was absent for 2004:02 (ms); none
-    without a valid position. :meth:`follow` must see samples whose residual is above ``near_cycles``, whose
-    amplitude is below ``reserve_counts``, or whose status word is not ``usual_status``.
+    A warning is reported with the sample that causes it, and ends when it was absent for 2004:02 (ms); there
+    is none without a valid position. :meth:`follow` must get samples whose residual is above ``near_cycles``,
+    whose amplitude is below ``reserve_counts``, or whose status word is not ``usual_status``.
     """
 
     def __init__(
@@ -80,9 +80,9 @@ class Warnings:
         residual_limit: Callable[[], float],
         drift_at_limit: Callable[[], bool],
     ) -> None:
-        """``expects_pulse()``: a zero pulse is wired. ``residual_limit()``: that in force, in cycles.
+        """``expects_pulse()``: a zero pulse is wired. ``residual_limit()``: the one in force, cycles.
 
-        ``drift_at_limit()``: the adaptation cannot follow further; where that changes, :meth:`look_again`.
+        ``drift_at_limit()``: the adaptation cannot follow further; :meth:`look_again` after a change of it.
         """
         self._node, self._expects_pulse = node, expects_pulse
         self._residual_limit, self._drift_at_limit = residual_limit, drift_at_limit

@@ -1,6 +1,6 @@
 """Cams and work area of one channel (CiA 406, 6300h to 6337h, 6400h to 6402h).
 
-Limits are INTEGER32 beside a position that is UNSIGNED32. Both go over the wrap of the range.
+Limits are INTEGER32, but the position is UNSIGNED32. A span may go over the wrap of the range.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ class Span(NamedTuple):
 
 
 def limit_position(limit: int, total_range: int) -> int:
-    """The position, in measuring units, that a limit means in a range 0 .. ``total_range`` - 1.
+    """The position, measuring units, of a limit in a range 0 .. ``total_range`` - 1.
 
-    A negative limit has the same 32 bits as a position from 2^31 on where the range reaches that far;
+    A negative limit is the position from 2^31 on with the same 32 bits, if the range reaches that far;
     else it counts back from the end of the range. Limits beyond the range stay beyond it.
     """
     if limit >= 0:
@@ -36,13 +36,13 @@ def limit_position(limit: int, total_range: int) -> int:
 
 
 def span_of(low: int, high: int, total_range: int) -> Span | None:
-    """The positions between two limits, cut to the range; None: wholly beyond it."""
+    """The positions between two limits, cut to the range; None: all are beyond it."""
     first, last = limit_position(low, total_range), limit_position(high, total_range)
     if first <= last:
         if last < 0 or first >= total_range:
             return None
         return Span(max(first, 0), min(last, total_range - 1))
-    # Over the wrap: the part up to the end and the part from 0 on, each where the range has it.
+    # Over the wrap: the part up to the end of the range, and the part from 0 on.
     if first >= total_range:
         return None if last < 0 else Span(0, min(last, total_range - 1))
     return Span(first, last) if last >= 0 else Span(max(first, 0), total_range - 1)
@@ -54,7 +54,7 @@ LOW, HIGH, HYSTERESIS = 0x6310, 0x6320, 0x6330
 
 
 class Cam:
-    """On within its limits, off again only ``hysteresis`` units beyond them."""
+    """Switches on within its limits, and off ``hysteresis`` units beyond them."""
 
     __slots__ = ("_release", "_span", "active")
 
@@ -64,7 +64,7 @@ class Cam:
         self.active = False
 
     def configure(self, low: int, high: int, hysteresis: int, total_range: int) -> None:
-        """Other parameters than before forget the state.
+        """Set the parameters; a change of them resets the state.
 
         A switching band that covers the whole range keeps the cam on.
         """
@@ -87,12 +87,11 @@ class Cam:
 class Cams:
     """Objects 6300h to 6302h and 6310h to 6337h of channel 1.
 
-    A disabled cam reads 0 with either polarity. Without a valid position all cams keep their state, before
-    the first one 6300h is 0. Other parameters, another scaling, and a preset make a cam forget that it was
-    on.
+    A disabled cam reads 0 with either polarity. Without a valid position all cams keep their state; before
+    the first one 6300h is 0. A change of its parameters or the scaling, and a preset, switch a cam off.
 
-    ``follows``: :meth:`follow` must see each valid sample, as a cam in use has a hysteresis. ``position()``
-    is the last valid position; None: none yet.
+    ``follows``: :meth:`follow` must get each valid sample, since a cam in use has a hysteresis.
+    ``position()``: the last valid position; None: none yet.
     """
 
     def __init__(self, dictionary: Dictionary, position: Callable[[], int | None]) -> None:
@@ -110,7 +109,7 @@ class Cams:
                 limit.on_written = self._configure
 
     def configure(self, total_range: int) -> None:
-        self._total_range = total_range  # before all else: the state begins here
+        self._total_range = total_range  # set first: this is the begin of all state
         for cam in self._cams:
             cam.active = False
         self._configure()
@@ -149,7 +148,7 @@ OUT_OF_RANGE, OVERFLOW, UNDERFLOW = 1 << 0, 1 << 1, 1 << 2
 def work_area_state(position: int, low: int, high: int, total_range: int) -> int:
     """Bits of 6400h for a position 0 .. ``total_range`` - 1 and two limits.
 
-    With ``low`` above ``high`` the area goes over the wrap; outside of it the nearer limit decides.
+    If ``low`` is above ``high``, the area goes over the wrap; outside of it the nearer limit decides.
     """
     first, last = limit_position(low, total_range), limit_position(high, total_range)
     if first <= last:

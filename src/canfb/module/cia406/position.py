@@ -12,12 +12,12 @@ from canfb.signal.sample import Feedback
 
 PHASE_UNITS = 1 << 32  # 2011:03 counts the phase in 1/2^32 cycle
 PHASE_SCALE = float(PHASE_UNITS)
-MAX_UNITS_PER_CYCLE = 8192  # 1/5800 cycle is what a 12-bit converter resolves
+MAX_UNITS_PER_CYCLE = 8192  # a 12-bit converter resolves 1/5800 cycle
 U32 = 0xFFFFFFFF
 
 
 def single_turn_resolution(cycles_per_revolution: int) -> int:
-    """6501h, units per revolution without scaling: 8192 a cycle, fewer if N is huge."""
+    """6501h, units per revolution without scaling: 8192 per cycle, fewer beyond 32 bits."""
     units = MAX_UNITS_PER_CYCLE
     while cycles_per_revolution * units > U32:
         units //= 2
@@ -33,8 +33,8 @@ class PositionScale:
     """Exact integer scaling of a position to measuring units.
 
     ``units_per_revolution`` and ``total_range`` are the 6001h and 6002h in force; ``reverse`` is the code
-    sequence of 6000h; ``offset`` is 6509h. ``binary`` are the units per cycle where they are a power of two,
-    else 0: ``cycles * binary + int(phase * binary_factor)`` is :meth:`units`, without long integers.
+    sequence of 6000h; ``offset`` is 6509h. ``binary`` is the number of units per cycle if that is a power of
+    two, else 0: ``cycles * binary + int(phase * binary_factor)`` is :meth:`units`, without long integers.
     """
 
     __slots__ = (
@@ -60,7 +60,7 @@ class PositionScale:
         self.cycles_per_revolution = cycles_per_revolution
         self.units_per_revolution = numerator  # negative when the code sequence is reversed
         denominator = cycles_per_revolution * PHASE_UNITS
-        # In lowest terms, which are small for usual resolutions: long integers take longer to divide.
+        # Lowest terms are small for usual resolutions, and long integers take longer to divide.
         common = math.gcd(numerator, denominator)
         self._numerator, self._denominator = numerator // common, denominator // common
         per_cycle, rest = divmod(numerator, cycles_per_revolution)
@@ -79,7 +79,7 @@ class PositionScale:
         return (self.units(cycles, phase) + self.offset) % self.total_range
 
     def offset_for(self, units: int, preset: int) -> int:
-        """For these units to be ``preset``: -R/2 <= offset < R/2, R ``total_range``."""
+        """The offset at which ``units`` are ``preset``: -R/2 <= offset < R/2, R ``total_range``."""
         offset = (preset - units) % self.total_range
         return offset - self.total_range if 2 * offset >= self.total_range else offset
 
@@ -91,7 +91,7 @@ LOWEST, HIGHEST = -0x8000, 0x7FFF
 
 
 def saturated(value: float) -> int:
-    """The nearest INTEGER16; 0 for no number."""
+    """The nearest INTEGER16; 0 for NaN."""
     return 0 if math.isnan(value) else round(max(float(LOWEST), min(value, float(HIGHEST))))
 
 
@@ -103,9 +103,9 @@ def show_motion(
 ) -> None:
     """Objects 6030h and 6040h of channel 1.
 
-    Measuring units per second, or per second squared, times 2003:01 over 2003:02, or 2003:03 over 2003:04; a
-    divisor of 0 stands for the measuring units per revolution. Both are of the last valid position, and 0
-    before the first one and while the sampling interval is not known.
+    Measuring units per second times 2003:01 / 2003:02, and per second squared times 2003:03 / 2003:04; a
+    divisor of 0 means the measuring units per revolution. Both are those of the last valid position, and 0
+    before it or while the sampling interval is not known.
     """
     entry = dictionary.entry
     speed = entry(*od.SCALE_SPEED_MULTIPLIER), entry(*od.SCALE_SPEED_DIVISOR)
@@ -118,7 +118,7 @@ def show_motion(
         per_turn = in_force.units_per_revolution
         units = cycles * per_turn / in_force.cycles_per_revolution
         value = units * factor.value / (divisor.value or abs(per_turn))
-        # A period of next to nothing overflows; it is a speed beyond any range.
+        # A tiny interval would overflow: the speed is then beyond any range.
         return saturated(value / time if time > 0.0 else math.copysign(math.inf, value) if value else 0.0)
 
     dictionary.read_live(

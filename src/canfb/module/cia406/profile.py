@@ -26,26 +26,26 @@ EVENT_TIMER = (0x1800, 5)
 
 
 def make_cyclic_timer(dictionary: Dictionary, storage: Storage) -> None:
-    """6200h is 1800:05, in ms (0 = off), and is saved with it."""
+    """Make 6200h an alias of 1800:05, ms (0: off), with which it is saved."""
     timer, alias = dictionary.entry(*EVENT_TIMER), dictionary.entry(CYCLIC_TIMER)
     alias.on_read = timer.current
     alias.on_check = timer.check
     alias.on_written = lambda: timer.store(alias.value)
     alias.on_download = storage.configuration_changed
-    storage.entries.leave_out(CYCLIC_TIMER)  # one value, kept once
+    storage.entries.leave_out(CYCLIC_TIMER)  # saved as 1800:05 already
 
 
 OPERATING_TIME = 0x6508
 NOT_COUNTED = 0xFFFFFFFF
 UNIT_S = 360  # 0.1 h
-LEAST_S = 60  # of another time that is worth writing
+LEAST_S = 60  # difference of times that is worth writing
 _SECONDS = struct.Struct("<Q")
 
 
 class OperatingTime:
-    """Object 6508h: counts from the first :meth:`begin` on, beyond what the store has kept.
+    """Object 6508h: the stored time plus that since the first :meth:`begin`.
 
-    Writing takes milliseconds: call :meth:`keep` when no SYNC is due. Without a store 6508h reads FFFFFFFFh.
+    Writing takes milliseconds: call :meth:`keep` when no SYNC is due. Without a store, 6508h reads FFFFFFFFh.
     ``now()`` is the time of the running call.
     """
 
@@ -56,7 +56,7 @@ class OperatingTime:
         dictionary.entry(OPERATING_TIME).on_read = self._tenths
 
     def begin(self, now: float) -> None:
-        """Power-on at ``now`` (seconds); a reset changes nothing."""
+        """Begin at power-on, ``now`` (seconds); a later call, at a reset, has no effect."""
         if self._since_s is not None or not self._storage.is_there:
             return
         self._since_s = now
@@ -70,7 +70,7 @@ class OperatingTime:
             self._storage.refuse(ParameterGroup.OPERATING_TIME, "it contains no time")
 
     def keep(self, now: float) -> None:
-        """Into the store, if a minute has passed; a disk that fails is tried again."""
+        """Store the time if a minute has passed; after an error of the disk, the next call tries again."""
         seconds = self._seconds(now)
         if seconds - self._kept_s < LEAST_S:
             return
@@ -93,13 +93,13 @@ class OperatingTime:
 
 
 ALARM_POSITION, ALARM_PARAMETERS = 1 << 0, 1 << 12  # 6503h
-STANDSTILL_CYCLES = 0.05  # per sample: what counts as standstill for a preset
+STANDSTILL_CYCLES = 0.05  # largest speed at a preset, cycles per sample
 
 
 class EncoderProfile:
-    """Objects 6000h to 650Bh over the feedback of a signal chain, computed when they are read.
+    """Objects 6000h to 650Bh from the feedback of a signal chain, computed when they are read.
 
-    Cams, work area, speed and acceleration hold the last valid position.
+    Cams, work area, speed and acceleration are those of the last valid position.
     """
 
     def __init__(self, dictionary: Dictionary, interval: SamplingInterval, latest: Latest) -> None:
@@ -146,7 +146,7 @@ class EncoderProfile:
         )
         self._raw_scale = PositionScale(cycles, resolution, resolution * revolutions, False, 0)
         self._status.value = self._operating.value
-        # INTEGER32 objects for a range that needs 32 bits without sign: saturated, not wrapped.
+        # INTEGER32 objects for an UNSIGNED32 range: saturated, not wrapped.
         self._module_range[0].value = 0
         self._module_range[1].value = min(self.scale.total_range - 1, 0x7FFFFFFF)
         self._moved()
@@ -173,11 +173,11 @@ class EncoderProfile:
         if value >= self.scale.total_range:
             raise SdoAbort(AbortCode.INVALID_VALUE)
         last = self._latest.feedback
-        outdated = self.alarms.value & ALARM_POSITION  # no SYNC since: the machine may have moved
+        outdated = self.alarms.value & ALARM_POSITION  # without SYNC the machine may have moved
         if last is None or not last.valid or outdated or abs(last.speed_cycles) > STANDSTILL_CYCLES:
             raise SdoAbort(AbortCode.DEVICE_STATE)
         units = self.scale.units(*self._latest.place(last))
         self._offset.value = self.scale.offset = self.scale.offset_for(units, value)
-        for preset in self._presets:  # one value, in 32 and in 64 bits
+        for preset in self._presets:  # the same value as UNSIGNED32 and UNSIGNED64
             preset.value = value
         self._moved()

@@ -34,7 +34,7 @@ from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL
 
 
 class Outcome(NamedTuple):
-    """A refused ``calibration`` is for diagnosis only."""
+    """Result of a job; the ``calibration`` of a refused measurement is for diagnosis only."""
 
     reason: Reason
     calibration: Calibration | None
@@ -43,14 +43,14 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CalibrationJob:
-    """The table from samples takes seconds: a host calls this, in another process if it likes.
+    """A table from samples takes seconds to compute: a host calls this, perhaps in another process.
 
-    samples     as 2050:03 has them
+    samples     in the format of 2050:03
     times       in 100 ns, rising, INTEGER64, NO_TIME for none; None: one sample per interval
     adc_bits    4..16
-    turned      from the sine of each sample to its cosine, rad, REAL32; None: both are sampled at once
-    delays_s    2002:06 and 2002:07, which are kept: they do not show at one speed
-    at_speed    the analog path counts at the speed of the samples
+    turned      angle from the sine of each sample to its cosine, rad, REAL32; None: 0, sampled at once
+    delays_s    2002:06 and 2002:07, which are kept: one speed does not determine them
+    at_speed    the analog path has an effect at the speed of the samples
     """
 
     samples: bytes
@@ -74,14 +74,14 @@ class CalibrationJob:
         return Outcome(Reason.ACCEPTED, found, found.verdict)
 
 
-RECORDING_PART = 80.0  # per cent of the progress; the rest is the computation
+RECORDING_PART = 80.0  # per cent of the progress for the recording; the rest is for the computation
 COMPUTING_PART = 99.0
 UNKNOWN = Drift(math.nan, math.nan)
 AT_WORK = frozenset({State.RECORDING, State.COMPUTING})
 
 
 class Calibrating:
-    """Only a master puts the result in force. ``working`` is called for bit 10 of the status word.
+    """Only a master puts the result in force. ``working`` sets bit 10 of the status word.
 
     ``job`` is to be computed: the same object until it is done or obsolete.
     """
@@ -130,8 +130,8 @@ class Calibrating:
     def _forget(self, capacity: int) -> None:
         self._samples = SampleRecording(capacity)
         self._times = array("q")
-        self._turned = array("f")  # from each sine to its cosine
-        self._fastest_hz = 0.0  # of the samples, cycles per second
+        self._turned = array("f")  # angle from each sine to its cosine, rad
+        self._fastest_hz = 0.0  # fastest sample, cycles per second
         self._timed = True
         self._last_tick: int | None = None
         self._bins: list[int] = [0] * BINS
@@ -168,14 +168,14 @@ class Calibrating:
             self._part = min(max(part, 0.0), 1.0)
 
     def take(self, sample: Sample, feedback: Feedback) -> None:
-        """One that the supervision flags is left out."""
+        """Record a sample; a flagged one is left out."""
         status = feedback.status
         self._add_time(sample.time_100ns)
         tracks = self._chain.tracks
         turned = tracks.turned_rad(feedback.speed_cycles)
         self._fastest_hz = max(self._fastest_hz, abs(tracks.hertz(feedback.speed_cycles)))
         self._turned.append(turned)
-        if sample.invalid or _left_out(status) or (turned and status & LOST):  # the speed is not known then
+        if sample.invalid or _left_out(status) or (turned and status & LOST):  # `turned` needs the speed
             self._samples.miss()
         else:
             self._samples.take(self._held(sample.sine), self._held(sample.cosine))
@@ -194,7 +194,7 @@ class Calibrating:
         self._forget(self._requested.value)
         bits = (max(self._full_scale.value, 1) - 1).bit_length() + 1
         self._adc_bits = min(max(bits, 4), 16)
-        # Where the converter's range is no power of two, its ends count as those of the next one.
+        # If the range of the converter is not a power of two, its ends are stored as those of the next one.
         self._lowest, self._highest = 1 - self._full_scale.value, self._full_scale.value - 2
         self._enter(State.RECORDING)
 
@@ -238,7 +238,7 @@ class Calibrating:
         self._enter(State.COMPUTING)
 
     def _add_time(self, time_100ns: int | None) -> None:
-        """Without their wrap; all samples have one, or none is used."""
+        """Note a time, unwrapped. Times are used only if all samples have one."""
         self._timed &= time_100ns is not None
         if time_100ns is None:
             self._times.append(NO_TIME)
@@ -248,7 +248,7 @@ class Calibrating:
         self._times.append(self._last_tick)
 
     def _held(self, counts: float) -> int:
-        """At or beyond the ends of the converter: the ends of its bits."""
+        """``counts`` as recorded: at or beyond an end of the converter, the end of its bits."""
         if self._lowest <= counts <= self._highest:
             return int(counts)
         full: int = 1 << (self._adc_bits - 1)
@@ -267,7 +267,7 @@ class Calibrating:
         return int(100.0 * (covered(self._bins) if found is None else found.coverage))
 
     def _figure(self, name: str) -> float:
-        """In cycles; NaN while there is none, never a wrong 0."""
+        """A figure of the calibration, cycles; NaN while there is none."""
         return math.nan if self._calibration is None else float(getattr(self._calibration, name))
 
     def _drift(self) -> Drift:
@@ -281,9 +281,9 @@ class Calibrating:
 
 
 def _left_out(status: int) -> bool:
-    """Whether the supervision calls a sample bad.
+    """True for a sample with a fault, except clipping: tracks that are too large must be detected.
 
-    Clipped ones stay: too large tracks are to be found out. The residual of a lost position means nothing.
+    The residual of a lost position is no fault.
     """
     flagged = status & (AMPLITUDE | FROZEN) or status & (RESIDUAL | LOST) == RESIDUAL
     return bool(flagged and not status & CLIPPED)

@@ -20,18 +20,18 @@ class Prediction:
     """Extrapolates 6004h and 6008h by one interval of SYNC, for synchronous TPDOs only (docs/latency.md).
 
     At SYNC k+1 the newest sample is that of SYNC k. With x the position, v = x(k) - x(k-1) and a = v(k) -
-    v(k-1), in cycles and intervals of a sample, m of which are in one of SYNC:
+    v(k-1), in cycles and sampling intervals, m of which are in one of SYNC:
 
-        1  constant speed         x(k) + m v 2  constant acceleration  x(k) + m v + a m (m + 1)/2;   v is the
-        speed of half an interval ago, so a counts whole
+        1  constant speed         x(k) + m v
+        2  constant acceleration  x(k) + m v + a m (m + 1)/2, since v is the speed half an interval ago
 
-    :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled; :meth:`withdraw` after it puts
-    ``measured`` back. Bit 12 of the status word stands in between. While coasting the position goes on at the
-    last valid speed; a lost one stays as eq. 9 counts it.
+    :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, and :meth:`withdraw` restores
+    ``measured`` afterwards; in between, bit 12 of the status word is set. While coasting the position goes on
+    at the last valid speed; a lost one is not extrapolated.
 
-    With 2013:02 and sample times :meth:`shift` moves the position to the nominal SYNC of its sample, d
-    intervals later: x + v d; formula 1 then adds v (d + p), formula 2 v (d + p) + a (d + p)(d + p + 1)/2, p
-    the period in intervals. All go on further by the delay of the analog path (2002:07).
+    With 2013:02 and sample times, :meth:`shift` moves the position to the nominal SYNC of its sample, d
+    intervals later: x + v d. Formula 1 then adds v (d + p), formula 2 v (d + p) + a (d + p)(d + p + 1)/2, p
+    the period in intervals. The delay of the analog path (2002:07) is added in all cases.
     """
 
     def __init__(
@@ -53,17 +53,17 @@ class Prediction:
         self.pause(None)
 
     def pause(self, last: Feedback | None) -> None:
-        """OPERATIONAL begins: samples up to ``last`` say nothing about the speed now."""
+        """OPERATIONAL begins: samples up to ``last`` do not show the present speed."""
         self._before = 0 if last is None else last.samples  # samples before OPERATIONAL
         self.forget()
 
     def forget(self) -> None:
-        # Whether extrapolate and withdraw, and shift, are to be called.
+        # Whether `extrapolate` and `withdraw` must be called, and whether `shift` must.
         self.extrapolates, self.follows = bool(self._kind.value != OFF), bool(self._nominal.value)
         self.is_on = self.extrapolates or self.follows
-        self._at_sync: int | None = None  # samples up to the last SYNC
-        self._speed_cycles = 0.0  # of the last valid sample
-        self._valid_samples = 0  # in a row
+        self._at_sync: int | None = None  # number of samples at the last SYNC
+        self._speed_cycles = 0.0  # displacement to the next SYNC at the speed of the last valid sample
+        self._valid_samples = 0  # valid samples in a row
 
     def shift(self, last: Feedback, cycles: int, phase: float) -> None:
         if not last.status & VALID or not self._lock.locked:
@@ -79,18 +79,18 @@ class Prediction:
         return ticks * TICK_S / self._chain.unit_s
 
     def extrapolate(self, last: Feedback, periods: int, most_syncs: int) -> None:
-        """At a SYNC: ``last`` belongs to that ``periods`` before."""
+        """At a SYNC: ``last`` answers that ``periods`` before; since then ``most_syncs`` may be answered."""
         since = None if self._at_sync is None else last.samples - self._at_sync
         self._at_sync = last.samples
         displacement = self._displacement(last, periods)
         self.measured = self._position.value, self._fine.value, self._status.value
-        # Of several samples since one SYNC it is unknown when the last one was taken.
+        # With more samples than expected since the last SYNC, the instant of the newest is not known.
         if (
             displacement is None
             or last.samples == self._before
             or (since is not None and since > self._interval.samples_per_sync * most_syncs)
         ):
-            self._status.value &= ~EXTRAPOLATED  # nor is it that of the nominal SYNC
+            self._status.value &= ~EXTRAPOLATED  # not even to the nominal SYNC
             return
         cycles, phase = ahead(last.cycles, last.phase, displacement)
         self._show(cycles, phase)
@@ -101,7 +101,7 @@ class Prediction:
             self.measured = None
 
     def _displacement(self, last: Feedback, periods: int) -> float | None:
-        """Cycles from the last sample to this SYNC; None: no position to go on from."""
+        """Cycles from the last sample to this SYNC; None: there is no position to extrapolate."""
         status = last.status
         if not status & VALID:
             self._valid_samples = 0
@@ -119,9 +119,9 @@ class Prediction:
         return displacement
 
 
-def ahead(cycles: int, phase: float, way_cycles: float) -> tuple[int, float]:
-    """``way_cycles`` further on, 0 <= phase < 1; the count stays an integer."""
-    whole = math.floor(way_cycles)
-    position = phase + (way_cycles - whole)  # 0 to 2, and 2 where it is rounded
+def ahead(cycles: int, phase: float, displacement_cycles: float) -> tuple[int, float]:
+    """The position plus ``displacement_cycles``, 0 <= phase < 1; the count stays an integer."""
+    whole = math.floor(displacement_cycles)
+    position = phase + (displacement_cycles - whole)  # 0 to 2, which rounding may reach
     turns = math.floor(position)
     return cycles + whole + turns, position - turns

@@ -1,7 +1,7 @@
-"""The manufacturer objects 2011h and 2012h: every stage of the last sample, and what was counted.
+"""The manufacturer objects 2011h and 2012h: every stage of the last sample, and the counters.
 
-:class:`LastLoss` keeps what was known in the sample of the loss (2012:10..16): "lost" alone leaves a user to
-guess between a bus that stalled, a limit that is too narrow and a dirty encoder.
+:class:`LastLoss` keeps the circumstances of the last loss (2012:10..16): they distinguish a bus that stalled,
+a limit that is too narrow and a dirty encoder.
 """
 
 from __future__ import annotations
@@ -43,23 +43,23 @@ class Latest:
     def place(self, feedback: Feedback) -> tuple[int, float]:
         """Cycle count and phase, 0 <= phase < 1, at the instant of the sample.
 
-        The tracks come late by 2002:07, l sampling intervals: x + v l + a l (l + 1)/2, v and a of Prediction.
+        The tracks are late by 2002:07, l sampling intervals: x + v l + a l (l + 1)/2, as in Prediction.
         """
         lag = self._chain.tracks.lag_intervals
         if not lag:
             return feedback.cycles, feedback.phase
-        way = (feedback.speed_cycles + feedback.acceleration_cycles * (1.0 + lag) * 0.5) * lag
-        position = feedback.phase + way
+        displacement = (feedback.speed_cycles + feedback.acceleration_cycles * (1.0 + lag) * 0.5) * lag
+        position = feedback.phase + displacement
         turns = math.floor(position)
         phase = position - turns
         return (feedback.cycles + turns, phase) if phase < 1.0 else (feedback.cycles + turns + 1, 0.0)
 
 
 class LastLoss:
-    """Counts losses (2012:05), and gives the last to 2012:10..16, all 0 before. ``now()`` is in seconds.
+    """Counts losses (2012:05), and shows the last one in 2012:10..16, 0 before. ``now()`` is in seconds.
 
-    :meth:`follow` must see each sample that has a fault or whose position is lost, in order. ``bad_samples``
-    were missed or bad in a row, with that of the loss; ``faults`` are all bits since the last valid sample.
+    :meth:`follow` must get each sample that has a fault or a lost position, in order. ``bad_samples``: missed
+    or bad ones in a row up to the loss; ``faults``: all bits since the last valid sample.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class LastLoss:
         self._lost_s = self._now()
         self._residual = _sixteen_bits(feedback.residual, U32)
         self._limit = _sixteen_bits(self._limits.in_force.residual_limit, U32)
-        # The speed in a sample that contradicts has its error in it.
+        # Not that of the sample of the loss: its error is contained in its speed.
         self._speed = _sixteen_bits(abs((self._latest.valid or feedback).speed_cycles), U32)
 
     def _since_ms(self) -> int:
@@ -125,7 +125,7 @@ class LastLoss:
 
 
 class Publication:
-    """2011h but for what the default PDOs hold; faults in 2012h. ``work`` is bit 10 of the status word."""
+    """Faults in 2012h, and 2011h except for the objects in the default PDOs. ``work``: bit 10 of 2011:01."""
 
     def __init__(
         self,
@@ -162,7 +162,7 @@ class Publication:
         self.reset()
 
     def reset(self) -> None:
-        self._last_raw = 0.0  # the last one before the present sample
+        self._last_raw = 0.0  # the last raw phase before the present sample
         self._loss.reset()
 
     def count(self, feedback: Feedback) -> None:
@@ -170,7 +170,7 @@ class Publication:
         self.count_between(feedback)
 
     def count_between(self, feedback: Feedback) -> None:
-        """A sample that is not published, as another one of its SYNC follows."""
+        """Count the faults of a sample that is not published: another one of its SYNC follows."""
         status = feedback.status
         if not (status & FLAGGED_BITS or self._loss.is_lost):
             return
@@ -208,5 +208,5 @@ class Publication:
 
 
 def _sixteen_bits(cycles: float, most: int) -> int:
-    """In 1/65536 cycle, cut off at ``most``; 0: not known."""
+    """``cycles`` in 1/65536 cycle, at most ``most``; 0 for NaN."""
     return 0 if cycles != cycles else min(round(cycles * SIXTEEN_BITS), most)

@@ -1,4 +1,4 @@
-"""Who gets every sample, and object 2050h: the samples for upload."""
+"""Observers of every sample, and object 2050h: a recording for upload."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class SampleObserver(Protocol):
     """Gets each sample after its position was published."""
 
     def take(self, sample: Sample, feedback: Feedback) -> None:
-        """A sample."""
+        """Called with each sample."""
 
     def miss(self) -> None:
-        """A SYNC without a sample."""
+        """Called for each missed sample."""
 
 
 class SampleObservers:
-    """Usually none."""
+    """The observers; usually there are none."""
 
     __slots__ = ("open",)
 
@@ -40,7 +40,7 @@ class SampleObservers:
     def take_all(
         self, sample: Sample, feedback: Feedback, between: Sequence[Feedback], per_sync: int, apart_ticks: int
     ) -> None:
-        """Those of one SYNC, ``apart_ticks`` apart; ``between`` are the feedbacks before the newest."""
+        """Pass on the samples of a SYNC, ``apart_ticks`` apart; ``between``: feedbacks before the newest."""
         for place in range(per_sync - 1, 0, -1):
             if place > len(between):
                 self.miss()
@@ -62,8 +62,8 @@ class SampleObservers:
 class Recorder:
     """Records raw counts, one pair for each sampling interval.
 
-    It ends when the memory is full (2050:02 = 2050:05), or the module leaves OPERATIONAL or its input
-    changes: time would be lost. 2050:03 gives the samples so far at any time.
+    It ends when the memory is full (2050:02 = 2050:05), and when the module leaves OPERATIONAL or its input
+    changes, since samples would be missing. 2050:03 has the samples so far at any time.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Recorder:
         self._observers.remove(self)
 
     def take(self, sample: Sample, feedback: Feedback) -> None:
-        """Flagged ones too; not those that the interface calls invalid."""
+        """Record a sample, also a flagged one, but not one that the interface calls invalid."""
         if sample.invalid:
             self.miss()
             return

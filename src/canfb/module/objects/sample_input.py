@@ -1,7 +1,7 @@
-"""Object 2000h: a sample, put together from the RPDOs that carry its parts, or given by a source.
+"""Object 2000h: a sample, assembled from the RPDOs that carry its parts, or given by a source.
 
-The parts may come in several PDOs, in any order that the interface keeps to, and one may be lost or doubled:
-none is put together from two samples.
+The parts may come in several PDOs, in any order that the interface keeps. If one is lost or doubled, parts of
+two samples are not combined.
 
 2000:0E and 2014h, the position of another sensor, are paired with the samples by SYNC.
 """
@@ -24,7 +24,7 @@ from canfb.sources.protocol import Grouped, Source, SourceWatch
 
 # Plain integers for the hot path.
 ZERO_PULSE, SAMPLE_INVALID = int(od.SampleFlag.ZERO_PULSE), int(od.SampleFlag.INVALID)
-NEW_ORDER = 3  # intervals in a row
+NEW_ORDER = 3  # intervals in a row that show another order of the PDOs
 NO_RPDO = -1
 PLACES = 65536.0  # 2000:07 counts the interval of SYNC in 1/65536
 
@@ -36,14 +36,14 @@ class SampleInput:
 
     ``sine`` ... ``place``  the entries of 2000:01..07
     ``arrived``             RPDOs of this sample that have come, bit n: RPDO n
-    ``alone``               the RPDO that brings the whole sample, if one does
+    ``alone``               the RPDO that brings the whole sample, None: several do
     ``usual``               the RPDO that brings two counts, perhaps their time, and no more; else NO_RPDO
     ``timed``               each sample brings its time
-    ``judged``              the RPDO with the tracks, if only its arrival says to which SYNC they belong
-    ``is_synchronous``      the tracks are taken over at the SYNC after they came
-    ``is_mixed``            a part came twice: up to half a period later none is certain
+    ``judged``              the RPDO with the tracks, if only its arrival shows which SYNC it answers
+    ``is_synchronous``      the tracks take effect at the SYNC after they came
+    ``is_mixed``            parts may be of two samples: none is given for half a period
     ``on_mixed``            called for a part that is not used
-    ``pulses``              zero pulses so far
+    ``pulses``              number of zero pulses
     """
 
     def __init__(self, dictionary: Dictionary, node: Node) -> None:
@@ -55,12 +55,12 @@ class SampleInput:
         self.all_earlier = [(entry(*sine), entry(*cosine)) for sine, cosine in od.SAMPLE_EARLIER]
         self.on_mixed: Callable[[], None] = lambda: None
         self.pulses = 0
-        self._origin: object = None  # of the samples
+        self._origin: object = None  # where samples come from, to detect a change
         self._required = -1  # bit n: RPDO n brings a part of a sample
         self.configure()
 
     def configure(self) -> bool:
-        """True: samples are paired otherwise."""
+        """Read the mapping; True if it changes how samples are paired."""
         with_ = self._node.rpdo_with
         tracks = with_(od.SAMPLE_SINE, od.SAMPLE_COSINE)
         coarse = with_(od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE)
@@ -77,10 +77,10 @@ class SampleInput:
         self._waiting: Rpdo | None = None if tracks is None else self._node.synchronous_rpdo(tracks)
         self.is_synchronous = self._waiting is not None
         self.judged = None if self.timed or self.is_synchronous else tracks
-        # The second position is paired with each sample.
+        # Not with a second position, which is compared with each sample.
         at_once = self.alone is not None and coarse is flags is second is None and not earlier
         self.usual = tracks if tracks is not None and at_once and not self.is_synchronous else NO_RPDO
-        if required != self._required:  # else a sample may have come in part
+        if required != self._required:  # if not, a sample that has come in part is kept
             self._required = required
             self.begin()
         before, self._origin = self._origin, (tracks, self.is_synchronous, self.timed, len(earlier))
@@ -89,8 +89,8 @@ class SampleInput:
     def begin(self) -> None:
         self.arrived = 0
         self._first: int | None = None  # the RPDO that begins a sample
-        self._early = self._earliest = 0  # bit n: RPDO n came before that one; the first of them
-        self._others_first = 0  # intervals in a row in which the missing parts came before the others
+        self._early = self._earliest = 0  # bit n: RPDO n came before `_first`; the first of those RPDOs
+        self._others_first = 0  # intervals in a row in which the missing parts came before `_first`
         self.is_mixed = False
 
     @property
@@ -98,10 +98,10 @@ class SampleInput:
         return 1 + len(self._earlier)
 
     def take(self, number: int) -> bool:
-        """True: the sample is complete with RPDO ``number``.
+        """Note RPDO ``number``; True if the sample is complete with it.
 
-        A part that comes twice before the others leaves open which of them belong together: no sample while
-        ``is_mixed``. One before the usual first part is of the sample before, or doubled.
+        If a part comes twice before the others, it is open which of them belong together (``is_mixed``). A
+        part before the usual first one is a late one of the last sample, or doubled.
         """
         part = 1 << number
         if not self._required & part:
@@ -123,9 +123,9 @@ class SampleInput:
         return not self.is_mixed
 
     def give_up(self) -> bool:
-        """The interval is over; True if parts of a sample came, but not all.
+        """End the interval; True if parts of a sample came, but not all.
 
-        If the missing ones came before the others, again and again, the interface sends in another order.
+        If the missing ones came before the others NEW_ORDER times in a row, that is the order from now on.
         """
         parts, self.arrived = self.arrived, 0
         early, self._early = self._early, 0
@@ -164,10 +164,10 @@ class SampleInput:
 
 
 class LocalSource:
-    """Asks a :class:`canfb.sources.protocol.Source` at each SYNC; nothing that it does raises.
+    """Reads a :class:`canfb.sources.protocol.Source` at each SYNC; its errors do not raise.
 
     ``report`` gets one line when it fails, works again, or has ended. ``samples_per_sync`` pairs are in a
-    sample. ``source_time_s`` is that of the last sample since the first one, None without time stamps.
+    sample. ``source_time_s``: time of the last sample since the first one, s; None without time stamps.
     """
 
     def __init__(self, source: Source, parts: SampleInput, report: Callable[[str], None]) -> None:
@@ -202,7 +202,7 @@ UNCERTAIN = -1
 
 
 class SecondInput:
-    """Counts the values of 2000:0E between two SYNCs: with just one it belongs to the sample of the first.
+    """Counts the values of 2000:0E between two SYNCs; a single one belongs to the sample of the first SYNC.
 
     In use while RPDO ``number`` brings 2000:0E and 2014:04 is above 0.
     """
@@ -230,7 +230,7 @@ class SecondInput:
         return SecondSensor(**values | flags)
 
     def apply(self) -> None:
-        """2014h was written: what it said is forgotten."""
+        """Apply 2014h; forget the values so far."""
         self.values = 0
         self._chain.use_second(self.sensor)
 
@@ -241,12 +241,12 @@ class SecondInput:
             self.apply()
 
     def interval_over(self, certain: bool) -> None:
-        """At a SYNC, before its sample; ``certain``: the one before it was received as well."""
+        """At a SYNC, before its sample; ``certain``: the SYNC before was received, too."""
         values, self.values = self.values, 0
         self._chain.hear_second(values if certain else UNCERTAIN, self._value.value)
 
     def difference_revolutions(self) -> float:
-        """Sensor minus position; NaN: not known."""
+        """2014:06, sensor minus position; NaN: not known."""
         second = self._chain.second
         if second is None or second.difference_cycles is None:
             return math.nan

@@ -1,6 +1,6 @@
-"""Objects 2020h and 2002h: correction table and conditioning, staged, in force, and followed.
+"""Objects 2020h and 2002h: correction table and conditioning, staged and in force, and the drift.
 
-They take effect together, between two samples, for the table is that of conditioned tracks.
+Table and conditioning take effect together, between two samples: the table is for conditioned tracks.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from canfb.signal.correction import Correction, CorrectionTable
 class TableStore:
     """Object 2020h: a table is staged by 2020:01 and takes effect, with 2002h, by 2020:03.
 
-    `save` keeps what is in force; not what 2002h holds for the next activation. ``on_in_force`` is called
-    with what has come into force, by SDO, by a calibration or with a reset.
+    `save` keeps the values in force, not those of 2002h for the next activation. ``on_in_force`` is called
+    with each correction that comes into force, by SDO, by a calibration or with a reset.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class TableStore:
         self._active_crc = dictionary.entry(*od.TABLE_ACTIVE_CRC)
         self._active_entries = dictionary.entry(*od.TABLE_ACTIVE_ENTRIES)
         self._staged: CorrectionTable | None = None
-        # Its value is a table that was restored, or one that is just written; else empty.
+        # Its value is empty, except for a table that is being restored or written.
         self._content = staged = dictionary.entry(*od.TABLE_STAGED)
         self._activation = activate = dictionary.entry(*od.TABLE_ACTIVATE)
         self._conditioned = [dictionary.entry(*place) for place in od.CONDITIONING]
@@ -72,14 +72,14 @@ class TableStore:
         return self._chain.correction.conditioning.values
 
     def reset(self) -> None:
-        """Nothing staged; the stored table, or none, and 2002h in force."""
+        """Put the stored table, or none, and 2002h in force; nothing is staged."""
         self._staged = None
         stored: bytes = self._content.value
         self._content.value = b""
         self._put_in_force(CorrectionTable.from_bytes(stored) if stored else None)
 
     def take_over(self, correction: Correction) -> None:
-        """Both in force together, between two samples; what is staged stays staged."""
+        """Put ``correction`` in force between two samples; a staged table stays staged."""
         for entry, value in zip(self._conditioned, correction.conditioning.values, strict=True):
             entry.value = value
         self._put_in_force(correction.table)
@@ -127,7 +127,7 @@ class TableStore:
 
 
 def _check_table(data: bytes) -> None:
-    """Empty is the identity as `save` keeps it; it cannot be staged."""
+    """Refuse a bad table; an empty one is the identity in the store, and cannot be staged."""
     try:
         if data:
             CorrectionTable.from_bytes(data)
@@ -141,8 +141,8 @@ MOST_PER_CENT = 0xFFFF
 class Adapting:
     """Follows the drift of offset, gain and phase: 2002:08..12 (docs/analog-front-end.md).
 
-    `save` keeps the drift, and a reset goes on from there; the conditioning of 2002:01..07 stays that of the
-    calibration. An activation, or 2002:08 = 0, begins at zero.
+    `save` keeps the drift, from which a reset goes on; 2002:01..07 stay those of the calibration. An
+    activation, or 2002:08 = 0, resets the drift to zero.
     """
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, limits: Limits, storage: Storage) -> None:
@@ -179,7 +179,7 @@ class Adapting:
     def _adapt(self, start_from: FollowedDrift | None = None) -> None:
         bounds = {name: entry.value * ADAPTATION_UNIT for name, entry in self._bounds.items()}
         self._chain.adapt(AdaptConfig(**bounds) if self._mode.value else None, start_from)
-        self._limits.apply()  # it needs the sampling interval
+        self._limits.apply()  # the adaptation needs the sampling interval
 
     def _followed(self, part: int) -> float:
         return self._chain.adaptation.drift[part]

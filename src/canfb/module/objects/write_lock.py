@@ -1,6 +1,6 @@
-"""Object 2040h: who may change parameters over the bus (docs/service.md).
+"""Object 2040h: the lock against changes of parameters over the bus (docs/service.md).
 
-CAN knows no sender, so a lock keeps away mistakes only; who sends frames also hears the code.
+It only prevents mistakes: CAN has no authentication, and each node on the bus can receive the code.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from canfb.device.node import Node
 from canfb.device.od.dictionary import Entry, refuse_if
 from canfb.module.cia406.profile import CYCLIC_TIMER
 
-RETRY_S = 1.0  # after a wrong code none is accepted
+RETRY_S = 1.0  # time after a wrong code in which none is accepted
 COMMANDS = (od.TABLE_STAGED, od.TABLE_ACTIVATE, od.MEASUREMENT_COMMAND, od.WRITE_LOCK_NEW_UNLOCK_CODE)
 STORES = frozenset({0x1010, 0x1011})
 
 
 class WriteLock:
-    """Refuses SDO writes of parameters, and LSS, while it is locked: 08000022h, with a code 08000021h.
+    """Refuses SDO writes of parameters, and LSS, while it is locked: 08000022h, in mode "code" 08000021h.
 
-    Parameters are what a backup holds, table, calibration in the module, `save`, `load`, and the lock itself.
-    A transfer that began before the lock closed is aborted at its next segment. A right code unlocks until a
-    reset, or until 0 is written. The lock is saved (1010h), but is in no backup.
+    It locks all that a backup holds, table, calibration in the module, `save`, `load`, and the lock itself. A
+    transfer that began before is aborted at its next segment. The right code unlocks until a reset, or until
+    0 is written. The lock is saved (1010h), but not in a backup.
     """
 
     def __init__(self, node: Node) -> None:
@@ -44,7 +44,7 @@ class WriteLock:
 
     @property
     def refusal(self) -> AbortCode | None:
-        """Why a write is refused now; None: it is not."""
+        """The abort code for a write now; None: it is accepted."""
         mode = self._mode.value
         if mode == od.WriteLockMode.PREOP and self._node.state is NmtState.OPERATIONAL:
             return AbortCode.DEVICE_STATE
@@ -56,7 +56,7 @@ class WriteLock:
         self._unlocked = False
 
     def check_write(self, entry: Entry | None) -> None:
-        """SdoAbort for what is refused now; ``entry`` None: LSS."""
+        """Raise SdoAbort if a write of ``entry`` is refused now; None: LSS."""
         place = None if entry is None else (entry.index, entry.subindex)
         if entry is not None and entry.index not in STORES and place not in self._locked_places:
             return
@@ -65,7 +65,7 @@ class WriteLock:
             raise SdoAbort(refusal)
 
     def _check_given(self, value: int) -> None:
-        """A wrong code is refused, and any for a second after it."""
+        """Refuse a wrong code, and any for RETRY_S after it."""
         if not value:
             return
         now = self._node.now
