@@ -1,5 +1,4 @@
-"""All parameters of a module as SDO writes, in an order that CiA 301 allows, and as the files that a master
-loads."""
+"""All parameters of a module, as SDO writes in an order that CiA 301 allows, and as files for a master."""
 
 from __future__ import annotations
 
@@ -147,7 +146,7 @@ def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes)
     return DeviceConfiguration(
         module.node_id,
         int(module.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER).value),
-        # A value beyond its own limits was not written, and cannot be.
+        # Without values beyond their own limits, which no master can write.
         tuple(setting for setting in settings if is_accepted(setting.entry.check_limits, setting.value)),
         table,
     )

@@ -274,7 +274,7 @@ class FeedbackModule(NodeDevice):
         self._lock.check_write(entry)
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """From ``old`` to ``new``, and ``why``: samples are counted in OPERATIONAL only."""
+        """The state changed from ``old`` to ``new``, and ``why``: sampling needs OPERATIONAL."""
         super().state_changed(old, new, now, why)
         if new is NmtState.OPERATIONAL:
             self._sampling.resume(now)

@@ -41,7 +41,7 @@ class SamplingInterval:
 
     @property
     def known_s(self) -> float:
-        """The interval if it is certain enough for limits: measured, or 1006h if no SYNC contradicts it."""
+        """The interval, if it is certain enough for limits."""
         measured_s = self.timed_s or self._syncs.grid.period
         if measured_s:
             return measured_s

@@ -86,7 +86,7 @@ class Pairing(ProcessData):
         self.usual = NO_RPDO
         self.syncs.pause()
         self._input.begin()
-        self._accounted = self._answered = self.syncs.place  # last place with a sample or a miss; a sample
+        self._accounted = self._answered = self.syncs.place  # last place accounted for; last with a sample
 
     @property
     def timed(self) -> bool:
@@ -180,7 +180,7 @@ class Pairing(ProcessData):
         parts, syncs = self._input, self.syncs
         _count(self._duplicate_syncs)
         follows = not verdict.repeated
-        self._stale |= follows and parts.is_synchronous and not parts.timed  # they may answer either SYNC
+        self._stale |= follows and parts.is_synchronous and not parts.timed  # tracks may answer either SYNC
         if follows and self._chain.slips(syncs.extra_after):
             self._publishing.withhold()  # the position is that of the SYNC before
         if verdict.doubt and not self.timed:
@@ -330,6 +330,7 @@ class Pairing(ProcessData):
         self._elapsed = 0.0
 
     def _judged(self, now: float) -> float | None:
+        """Intervals since the last sample, by the SYNC that the tracks answer; None: they are not used."""
         call, syncs, answers, chain = self._call, self.syncs, self.answers, self._chain
         place, parts = syncs.place, self._input
         rests = not (chain.lost or chain.slips(1.0))  # then it does not matter which SYNC it answers
@@ -417,8 +418,7 @@ class Pairing(ProcessData):
     def _timed(self, sample: Sample, now: float) -> None:
         """Take a sample by its own time, whenever it was received.
 
-        One with the time of an earlier sample is not used. One that is too near to the last is not used,
-        either, but accounts for its SYNC.
+        An old one is not used; nor is one too near to the last, but that accounts for its SYNC.
         """
         call, syncs, source = self._call, self.syncs, self._source
         place, received_s, synced_s = syncs.place, None, None  # for a source or a synchronous RPDO

@@ -135,7 +135,7 @@ class SignalChain:
 
     @property
     def lost(self) -> bool:
-        """True from the moment the position is lost until :meth:`restart`."""
+        """True while the position is lost."""
         return self.stages.estimator.lost
 
     @property

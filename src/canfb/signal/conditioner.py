@@ -19,7 +19,7 @@ class Conditioner:
     coefficients    of the conditioning of the next sample
     correct         from raw phase, not NaN, to phase
     front           the part that depends on the speed; None: nothing does
-    lag_intervals   2002:07 in sampling intervals: by so much the position is old
+    lag_intervals   2002:07 in sampling intervals: age of the position at the instant of the sample
     unit_s          the sampling interval, seconds; 0.0: not known
     """
 

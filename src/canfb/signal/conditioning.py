@@ -95,12 +95,12 @@ class Conditioning:
 
     @property
     def words(self) -> dict[str, float]:
-        """Its fields by name, in the order of 2002:01..07, 2005:01..0E."""
+        """The fields by name, in the order of 2002:01..07, 2005:01..0E."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Its fields in the order of 2002:01..07, 2005:01..0E."""
+        """The fields in the order of 2002:01..07, 2005:01..0E."""
         return tuple(self.words.values())
 
     @property

@@ -50,7 +50,7 @@ class CorrectionTable:
 
     @classmethod
     def identity(cls, n: int = 256) -> Self:
-        """The table that changes nothing, with ``n`` entries (16..4096)."""
+        """The identity, with ``n`` entries (16..4096)."""
         return cls(np.arange(n) / n)
 
     @classmethod
@@ -141,7 +141,7 @@ class CorrectionTable:
         with np.errstate(invalid="ignore"):
             index[:] = whole
         place -= whole
-        # NaN has no index; "clip" keeps the look-up inside, and NaN comes back by the fraction.
+        # NaN has no index: "clip" keeps the look-up in the table, and the fraction makes the result NaN.
         phase = self._slope.take(index, mode="clip", out=whole)
         phase *= place
         phase += self._first.take(index, mode="clip", out=place)

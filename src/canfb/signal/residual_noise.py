@@ -18,8 +18,8 @@ BLOCK_SAMPLES = 64
 MEDIAN_OF_RMS = 0.6745  # median of |x| over rms, for a normal distribution
 # Sums of the squared weights: of a residual (1, 2, 1), and of the difference of two residuals.
 RESIDUAL_WEIGHTS, DIFFERENCE_WEIGHTS = 6.0, 20.0
-# A block shows the errors of all phases if it has phases in so many eighths of the cycle, and a speed that is
-# so far, in cycles per interval, from whole cycles.
+# A block shows the errors of all phases if its phases are in EIGHTHS of the eight parts of the cycle, and its
+# speed is LEAST_STEP cycles per interval or more from whole cycles.
 EIGHTHS = 5
 LEAST_STEP = 0.1
 FEWEST_BLOCKS = 4  # blocks before a limit uses the noise

@@ -197,7 +197,7 @@ def longest_decidable_row(largest: float, phase_error: float) -> int:
 
 
 class SpeedHypotheses:
-    """Follows all speeds of a ``motion`` from the next sample; ``bad_samples`` is m."""
+    """Follows all speeds within ``motion`` from the next sample on; ``bad_samples`` is m."""
 
     def __init__(self, motion: BoundedMotion, bad_samples: int) -> None:
         self.motion = motion

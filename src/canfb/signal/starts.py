@@ -20,7 +20,7 @@ MOST_WAITING = 64  # samples after a start: at q = 0.4, a wrong speed is exclude
 
 
 class SpeedVerdict(Enum):
-    """What the speeds that are left say of a sample."""
+    """What the speeds left show of a sample."""
 
     UNKNOWN = "nothing: the times are even, or all has been said"
     OPEN = "the times are about to tell the speed"

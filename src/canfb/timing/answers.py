@@ -1,9 +1,9 @@
-"""Which SYNC an ADC PDO answers. The PDO does not say it; only receive times and order show it.
+"""Which SYNC an ADC PDO answers. The PDO itself does not show it, only its receive time and the order.
 
-With receive times of both, the delay from SYNC to PDO is at least the least one so far (the interface has to
-measure first), and at most longer by LATEST periods (the PDO waits for other frames, some 0.1 ms each) plus
-the jitter of SYNC (a timer locked to SYNC may take the samples). The PDO answers the SYNC to which its delay
-is in this range. A PDO that fits no SYNC is not used; ROW of them with one delay give a new least delay.
+With receive times of both, the delay from SYNC to PDO has a range. It begins at the least delay so far, since
+the interface has to measure first. It is as wide as LATEST periods, for other frames (some 0.1 ms each), plus
+the jitter of SYNC, if a timer locked to SYNC takes the samples. The PDO answers the one SYNC for which its
+delay is in this range; if there is none, it is not used. ROW of them with one delay give a new least delay.
 Without receive times, a PDO answers the last SYNC.
 With a declared longest delay (2010:0E), it may come after later SYNCs.
 """
@@ -17,11 +17,11 @@ from canfb.timing.syncs import Syncs
 
 SOONEST = 0.7  # of the least delay: the same PDO may be shorter, with fewer stuff bits
 NOISE_S = 50e-6  # of the difference of two receive times
-# Mean time that SYNC waits for frames of 135 us at 30 % bus load: so much earlier than the line through the
-# received SYNCs a timer may be that runs in step with their producer.
+# Mean time that SYNC waits for frames of 135 us at 30 % bus load. The line through received SYNCs is late by
+# this; a timer of the interface may be in time.
 QUEUED_S = 20e-6
 LATEST = 0.25  # periods by which a PDO may be later than the least delay
-WIDEST = 0.7  # periods: the same including the jitter; the rest of the period is left for early PDOs
+WIDEST = 0.7  # largest width of the range with all of the jitter, periods; the rest is for early PDOs
 FORGETTING = 1e-3  # share of (delay - least delay) by which each PDO raises the least delay
 
 
@@ -65,7 +65,7 @@ class Answers:
         return grid.lead > 0.0 and delay_s + QUEUED_S < grid.lead + SOONEST * self.least_s < inf
 
     def place(self, delay_s: float, syncs: Syncs, answered: int = -1) -> int | None:
-        """What a PDO ``delay_s`` after the last SYNC answers: 0 that SYNC, -1 the one before; None: none.
+        """What a PDO ``delay_s`` after the last SYNC answers: 0 that SYNC, -1 the one before; None: unknown.
 
         ``answered`` is the last place that has its sample: another PDO for it teaches no delay. For an
         earlier SYNC the receive time is used where it is known, else its place on the grid.

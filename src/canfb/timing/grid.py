@@ -19,10 +19,10 @@ from statistics import linear_regression, median
 
 UNDECLARED = 0.45  # periods allowed if no jitter is declared; at 0.5 the next place is as near
 REGULAR = 0.2  # relative tolerance of an interval: at 1 kHz, 135 us of waiting, and jitter of the producer
-# The number of instants for the first line: FIRST if they are regular (their period then has an error of
-# 0.24 times the rms jitter of an instant), LARGEST_FIRST in any case.
+# Number of instants for the first line: FIRST if they are regular (the error of the period is then 0.24 times
+# the rms jitter of an instant), LARGEST_FIRST in any case.
 FIRST, LARGEST_FIRST = 6, 13
-CALLS, MOST_CALLS = 9, 33  # the same for calls, which may be late: if straight, and in any case
+CALLS, MOST_CALLS = 9, 33  # the same for calls, which may be late: CALLS if straight, or MOST_CALLS
 TOGETHER = 0.5  # periods: calls that follow each other faster have queued while the host was late
 STRAIGHT = 0.1  # periods: a host is not late if no call is further above the line below them
 ROW = 4  # instants off the grid, regular among themselves, that are a new grid

@@ -259,7 +259,7 @@ class SecondPosition:
             else:
                 self._compare(pair)
         elif not taken or not alone:
-            witness.proven = not alone  # the coarse track proves it
+            witness.proven = not alone  # proven by the coarse track, if there is one
         elif values.is_stale(pair, moving=False):
             self._wait()
         else:
