@@ -62,7 +62,7 @@ class Prediction:
         self.extrapolates, self.follows = bool(self._kind.value != OFF), bool(self._nominal.value)
         self.is_on = self.extrapolates or self.follows
         self._at_sync: int | None = None  # number of samples at the last SYNC
-        self._speed_cycles = 0.0  # displacement to the next SYNC at the speed of the last valid sample
+        self._last_displacement = 0.0  # to the SYNC after the last valid sample, cycles
         self._valid_samples = 0  # valid samples in a row
 
     def shift(self, last: Feedback, cycles: int, phase: float) -> None:
@@ -105,14 +105,14 @@ class Prediction:
         status = last.status
         if not status & VALID:
             self._valid_samples = 0
-            return self._speed_cycles if status & COASTING else None
+            return self._last_displacement if status & COASTING else None
         self._valid_samples += 1
         periods *= self._interval.per_sync
         after, lock = float(self._interval.samples_per_sync * periods), self._lock
         if self.follows and lock.locked:
             after = self._intervals(lock.lead + periods * lock.period)
         after += self._chain.tracks.lag_intervals
-        self._speed_cycles = displacement = last.speed_cycles * after
+        self._last_displacement = displacement = last.speed_cycles * after
         curved = self._kind.value == CONSTANT_ACCELERATION
         if curved and self._valid_samples >= KNOWN_ACCELERATION:
             displacement += last.acceleration_cycles * after * (after + 1.0) / 2.0
