@@ -182,7 +182,7 @@ WRONG_USE = {
     "config dcf x.yaml --name 'a\nb'": "--name 'a\\nb': must be printable",
     **{f"config dcf x.yaml --{to} no/a": f"--{to} no/a: there is no folder no" for to in ("out", "concise")},
     "monitor -i virtual -b 0": "bitrate in bus must be bits per second, such as 1000000, not 0",
-    "config dcf bits.yaml": "bits.yaml: adc_bits is required, as the converter of the source is not asked",
+    "config dcf bits.yaml": "bits.yaml: adc_bits is required: a DCF has the full scale and the limits",
     "config dcf unnamed.yaml": "canfb: the module with serial number 7 has no node-ID yet",
     "config dcf feedback.yaml": "feedback.yaml: NODE is required, as there are several: 32 (20h), 33 (21h)",
     "config dcf feedback.yaml 1": "feedback.yaml: 1: no module has this node-ID; there are 32 (20h), 33",

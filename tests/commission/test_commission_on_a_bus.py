@@ -77,7 +77,7 @@ def test_without_write_it_proposes_and_writes_nothing(
     assert is_unwritten(bench)
     assert values(bench) == before
     assert {frame.can_id for frame in bench.master.sent if frame.can_id != 0x080} == {0x620, 0x610}
-    assert "nothing was written to the module: --write does it" in out
+    assert "nothing was written to the module: use --write" in out
     for words in ("2010:01 residual limit", "2010:02 largest acceleration", "bad samples", "largest jerk"):
         assert words in out
     page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))

@@ -207,7 +207,7 @@ def few(n: int, one: TrackSamples) -> TrackSamples:
 
 REFUSED: list[tuple[Changed, bool, str]] = [
     *((partial(few, n), True, f"{n} usable samples of {n} are too few") for n in (1, 1500)),
-    (lambda one: one, False, "did not say its speed"),
+    (lambda one: one, False, "did not report its speed"),
     (lambda one: replace(one, rate_hz=None), True, "rate of the samples is not known"),
     (lambda one: replace(one, sine=np.nan * one.sine), True, "did not come"),
     (lambda one: TrackSamples.of(noise(1), noise(2), RATE_HZ, "noise"), True, "position is lost"),

@@ -112,7 +112,7 @@ def test_a_loss_while_it_reads_is_that_of_one_time(canfb: Commands) -> None:
         bench.bus.send(Frame(0x000, command))
     out = canfb(bench, "why", NODE)[0]
     assert "the machine moved during a pause" in out
-    assert "speed then: not known, it was taken to stand still\n" in out
+    assert "speed then: not known, standstill was assumed\n" in out
 
 
 def test_a_module_of_before_keeps_no_cause(canfb: Commands) -> None:

@@ -203,7 +203,7 @@ FIRST: dict[str, dict[str, Any]] = {
         {"acceleration_rad_s2": 100.0, "residual_limit": 0.06},
     "acceleration: raise the SYNC rate to 1500 Hz": {"acceleration_rad_s2": 1600.0},
     "acceleration: send three samples for each SYNC (samples_per_sync: 3; "
-    "8 bytes more for each SYNC, bus load +13.5 %): that holds this move":
+    "8 bytes more for each SYNC, bus load +13.5 %): sufficient for this motion":
         {"acceleration_rad_s2": 6000.0},
     "acceleration: raise the SYNC rate to 1100 Hz":
         {"acceleration_rad_s2": 900.0, "bit_rate": 500_000, "table": True},

@@ -179,7 +179,7 @@ def _over_speed(measured: Measurement, where: Provenance) -> str:
             ),
             figure(
                 "Mean error",
-                "by the delay that the amplitude tells; a delay of the converter is not in it",
+                "by the delay estimated from the amplitude; a delay of the converter is not included",
                 pictures.mean_over_speed(speed, mean, late, unit),
             ),
         ],

@@ -213,7 +213,7 @@ class CalibrationRun:
             self._judged(samples, watch.raise_found)
         if not readings.found:
             raise CommissioningError(
-                f"{session.module.name} did not say its speed (2011:07): set a longer --seconds"
+                f"{session.module.name} did not report its speed (2011:07): set a longer --seconds"
             )
         rad_s = math.fsum(one.rad_per_s for one in readings.found) / len(readings.found)
         return SpeedSamples(samples, rad_s * session.cycles_per_revolution / (2.0 * math.pi))
@@ -326,7 +326,7 @@ def wait_for_speed(
             raise CommissioningError(
                 f"the machine did not turn steadily at {listed(speeds_rpm)} rpm within {longest_s:g} s; it "
                 f"turns at {last[-1]:.4g} rpm, {min(last):.4g} to {max(last):.4g} lately: --wait, or other "
-                "--speeds; where the speed ripples for want of a table, canfb calibrate first"
+                "--speeds; if the speed ripples because no table is active, canfb calibrate first"
             )
         progress(passed_s / longest_s)
         master.wait(EVERY_S)

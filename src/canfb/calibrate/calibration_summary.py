@@ -313,7 +313,7 @@ def verdict(measured: Measurement, where: Provenance) -> str:
         known = [one.before for one in over.errors if one.before is not None]
         falls = f", {PERCENT * max(known):.2g} % before" if len(known) == len(over.errors) else ""
         first, last = (speed_words(over.errors[n].hertz, where) for n in (0, -1))
-        between = "" if len(over.errors) > 2 else " Two speeds fit any analog path: a third one proves it."
+        between = "" if len(over.errors) > 2 else " Two speeds fit any analog path: verify it with a third."
         return (
             f"Accepted. The error within a cycle is at most {PERCENT * worst:.2g} % of a cycle rms{falls}, "
             f"from {first} to {last}, on samples that were held out.{between} {good}"

@@ -353,7 +353,7 @@ def measure_speeds(
         if one.before is not None and one.after > WORSE * one.before:
             raise CalibrationError(
                 f"at {one.hertz:.6g} cycles/s the error would rise from {one.before:.2g} to {one.after:.2g} "
-                "cycle rms: the analog path is not the one of this model",
+                "cycle rms: the analog path does not follow this model",
                 Reason.SPEED,
             )
     over = OverSpeeds(found.path, before, after, errors)
@@ -370,8 +370,8 @@ def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) 
     low_pass = found.path.low_pass
     if not low_pass.is_detected:
         raise CalibrationError(
-            "the amplitude does not fall with the speed, so it tells no delay: --delay SECONDS with that of "
-            "the data sheets, or without --delay",
+            "the amplitude does not fall with the speed, so no delay can be estimated from it: give --delay "
+            "SECONDS from the data sheets, or leave --delay out",
             Reason.SPEED,
         )
     return low_pass.delay_s

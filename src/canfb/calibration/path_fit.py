@@ -202,7 +202,7 @@ def check_apart(hertz: FloatArray, noise: FloatArray | float = 0.0) -> None:
     apart, top = float(np.ptp(hertz)), float(np.abs(hertz).max())
     sigma_rad = math.sqrt(2.0) * math.hypot(ANGLE_REPEATS_RAD, float(np.max(noise)))
     if apart == 0.0:
-        raise CalibrationError("the analog path shows over at least two speeds", Reason.SPEED)
+        raise CalibrationError("the analog path requires at least two different speeds", Reason.SPEED)
     left = ERROR_OF_ANGLE * sigma_rad * top / apart
     if left > MOST_UNCERTAIN_CYCLES:
         raise CalibrationError(

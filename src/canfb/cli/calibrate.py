@@ -145,7 +145,7 @@ def register(commands: Commands) -> None:
             option(
                 "--delay",
                 metavar="estimate|S",
-                help="write the delay of the analog path (2002:07): as estimated, or in seconds (as it is)",
+                help="write the delay of the analog path (2002:07): as estimated, or in seconds (unchanged)",
             ),
             option(
                 "--wait",

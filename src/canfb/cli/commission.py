@@ -90,7 +90,7 @@ def commission(options: argparse.Namespace) -> int:
     if wishes.out:
         prepare_folder(wishes.out)
     nodes = measured_nodes(options, config)  # says what cannot be before there is a bus
-    as_before = "limits that were not proven are as they were"
+    as_before = "limits that were not verified are unchanged"
     with (
         shown_progress(quiet=options.json, interrupted=as_before) as progress,
         sync_master(options, config) as (master, guard),

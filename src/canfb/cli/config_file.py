@@ -181,7 +181,7 @@ def _chosen(config: Config, options: argparse.Namespace) -> ModuleConfig:
         module = chosen_module(options, config)
     if getattr(module.source, "adc_bits", module.adc_bits) is None:
         raise ConfigError(
-            f"{options.config}: adc_bits is required, as the converter of the source is not asked: a DCF has "
-            "the full scale and the limits of the amplitude. Or read the module on the bus: NODE alone"
+            f"{options.config}: adc_bits is required: a DCF has the full scale and the limits of the "
+            "amplitude, and the converter is not read. Or give NODE alone: the module is read on the bus"
         )
     return module

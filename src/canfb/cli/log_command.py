@@ -121,7 +121,7 @@ def register(commands: Commands) -> None:
             metavar="BYTES",
             help="begin another file at this size (500k, 100M, 2G); the full one is renamed",
         ),
-        option("--force", action="store_true", help="overwrite a file that is there"),
+        option("--force", action="store_true", help="overwrite an existing file"),
         READY_FILE,
         add_bus_options,
         summary="write a log of the bus",

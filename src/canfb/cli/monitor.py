@@ -69,9 +69,9 @@ def register(commands: Commands) -> None:
         monitor,
         nodes("node-IDs such as 32 or 0x20; or CONFIG.yaml, as with --config"),
         option("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus"),
-        option("--speed", metavar="X", type=positive, help="of the log: 1 in its own time"),
+        option("--speed", metavar="X", type=positive, help="speed of the log; 1: real time"),
         option("--updates", metavar="HZ", type=positive, help="per second (5; 1 for lines)"),
-        option("--seconds", metavar="S", type=positive, help="end after so long"),
+        option("--seconds", metavar="S", type=positive, help="end after this time"),
         option("--sdo", action="store_true", help="read mapping and counters by SDO, not only listen"),
         option(
             "--per-revolution",

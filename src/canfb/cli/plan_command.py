@@ -75,7 +75,7 @@ def register(commands: Commands) -> None:
             "--modules",
             type=whole_number,
             metavar="COUNT",
-            help="that are alike, each with its interface (1)",
+            help="number of equal modules, each with its interface (1)",
         ),
         option("--coverage", action="store_true", help="diagnostic coverage by fault (docs/evidence.md)"),
         JSON,

@@ -46,7 +46,7 @@ def register(commands: Commands) -> None:
         listed,
         node,
         option("object", metavar="OBJECT", nargs="?", default="", help="only those with this in the name"),
-        option("--eds", type=Path, metavar="FILE", help="EDS or DCF; without, the node is asked which"),
+        option("--eds", type=Path, metavar="FILE", help="EDS or DCF (default: by the node's identity)"),
         *access,
         summary="the objects of a node by its EDS: number, name, access, unit",
     )

@@ -251,7 +251,7 @@ def outcome(done: Commissioned) -> str:
         return f"the limits are in force, and nothing was flagged that was not flagged before; {saved}"
     if done.wishes.write:
         return "nothing to write: the module has these limits already"
-    return "nothing was written to the module: --write does it"
+    return "nothing was written to the module: use --write"
 
 
 def findings(done: Commissioned) -> Findings:
@@ -397,8 +397,8 @@ def commission(
     node = session.module
     if session.active.table is None:
         raise CommissioningError(
-            f"{node.name}: no correction table is active, and without one the limits would be those of "
-            "its errors: run canfb calibrate first"
+            f"{node.name}: no correction table is active, and the limits would have to include the "
+            "errors of the encoder: run canfb calibrate first"
         )
     limits = SupervisionLimits.read(node)
     if wishes.write:

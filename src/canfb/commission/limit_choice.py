@@ -343,9 +343,7 @@ def _follow(
     ]
     known = [one for one in apart if math.isfinite(one)]
     if not known:
-        raise CommissioningError(
-            "the module did not say its speed (2011:07) meanwhile: set a longer --seconds"
-        )
+        raise CommissioningError("the module did not report its speed (2011:07): set a longer --seconds")
     off = float(np.median(known))
     start = float(speed[np.flatnonzero(np.isfinite(speed))[0]]) + round(off)
     followed = supervise(samples, used, limits.chain_limits(interval_s), start)
@@ -353,8 +351,8 @@ def _follow(
         return start, followed
     raise CommissioningError(
         f"the position is lost in the samples ({in_words(followed.flagged) or 'none flagged'}"
-        f"{_missed_words(samples)}): find the cause of what is flagged; else the machine accelerates by more "
-        "than the residual limit, or samples are lost: increase the SYNC rate"
+        f"{_missed_words(samples)}): find the cause of flagged samples. Otherwise the machine accelerates "
+        "by more than the residual limit, or samples are lost: increase the SYNC rate"
     )
 
 

@@ -213,7 +213,7 @@ class LostPosition:
 
     def _speed_words(self, cycles: float | None) -> str:
         if cycles is None:
-            return "not known, it was taken to stand still"
+            return "not known, standstill was assumed"
         if not self.sample_hz:
             return f"{cycles:.3g} cycles per interval"
         rpm = cycles * self.sample_hz / self.limits.cycles_per_revolution * 60.0
@@ -284,9 +284,9 @@ class LostPosition:
 
     def _declared(self) -> str:
         most, largest = self.longest_gap(), self.limits.acceleration_rad_s2
-        said = "" if most is None else f": one motion is certain over {most} missed samples at most"
+        said = "" if most is None else f", which bridges at most {most} missed samples"
         known = f"2010:02 is {largest:.4g} rad/s²{said}; a smaller one, if it is true, "
-        return f"{known}or a faster SYNC, over more" if largest else NOT_DECLARED
+        return f"{known}or a faster SYNC bridges more" if largest else NOT_DECLARED
 
     def longest_gap(self) -> int | None:
         """Missed samples over which 2010:02 leaves one motion, or None."""
@@ -304,7 +304,7 @@ class LostPosition:
             (
                 loss.limit_cycles < SAME * now_cycles,
                 f"the residual limit was {then} and is {now} now: 2010:01 was written since "
-                "(or 2010:02, 2010:0C, which narrow it); what it was then lost the position",
+                "(or 2010:02, 2010:0C, which narrow it); the limit at that time lost the position",
             ),
             (
                 self.limits.widest_cycles < needed,

@@ -152,7 +152,7 @@ def _more_samples(plan: Plan) -> Ways:
             load = 100.0 * (after.bus.load - plan.bus.load)
             cost = f"{more} bytes more for each SYNC, bus load +{load:.1f} %"
             text = f"send {NUMBERS[count]} samples for each SYNC (samples_per_sync: {count}; {cost})"
-            yield f"{text}: that holds this move", after
+            yield f"{text}: sufficient for this motion", after
 
 
 def _narrower(plan: Plan) -> Ways:

@@ -235,8 +235,8 @@ def _instants(budget: ResidualBudget) -> str:
         return "sample times: the jitter of SYNC does not limit the speed"
     if budget.module.samples_per_sync > 1:
         return (
-            "the interface samples by its own timer; without times a SYNC earlier than 20 µs and 0.3 of the "
-            "answer delay costs its sample in motion"
+            "the interface samples by its own timer; without times a SYNC early by more than 20 µs plus 0.3 "
+            "of the answer delay costs its sample in motion"
         )
     bus_us, own_us = budget.plan.bus.sync_delay_s / 2.0 * 1e6, budget.plan.jitter_s * 1e6
     parts = f"producer {own_us:.3g}, frames before it {bus_us:.3g}"
