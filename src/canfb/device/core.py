@@ -1,9 +1,9 @@
-"""What the services of a node share: :class:`Core`, and the :class:`Agenda` of those with a timer.
+"""What the services of a node share: :class:`Core`, and :class:`Agenda`, which runs those with a timer.
 
-:class:`Pending` is an SDO write whose answer waits for its effect, as that of `save`.
+:class:`Pending` is an SDO write that is answered once it has taken effect, such as `save`.
 
-:class:`Application` and :class:`ProcessData` are what a node tells its program: one method for each event,
-called from within the calls of the node.
+A node reports to its program through :class:`Application` and :class:`ProcessData`: one method for each
+event, called from within the calls of the node.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ Groups = list[ParameterGroup]
 
 
 class Expiry(Protocol):
-    """How long the process data of the program holds."""
+    """How long the process data of the program is valid."""
 
     @property
     def until(self) -> float:
-        """Until then, seconds."""
+        """End of validity, seconds."""
 
 
 class HeldRpdo(Protocol):
     """A synchronous RPDO."""
 
     def synchronise(self, now: float) -> None:
-        """Take over what came since the last SYNC, with `rpdo_received`."""
+        """Take over the last PDO since the last SYNC, and call `rpdo_received`."""
 
 
-# After a SYNC: no TPDOs are sent, they are, or they are and `tpdos_sampled` is called then.
+# The synchronous TPDOs after a SYNC: not sent; sent; sent, and `tpdos_sampled` is called after them.
 IGNORED, FOLLOWED, REVOKED = range(3)
 
 
 class ProcessData:
-    """What SYNCs and PDOs are for the program, in one object, so that a frame takes no detour.
+    """SYNCs and PDOs as events for the program, in one object, so that a frame takes no detour.
 
     The rules of `Application` hold.
     """
 
     def synchronise(self, counter: int | None, now: float, waiting: Sequence[HeldRpdo]) -> int:
-        """A SYNC in OPERATIONAL (CiA 301, 7.2.5), `counter` None without 1019h; `waiting` RPDOs are taken
-        over, then come the synchronous TPDOs, as the result says.
+        """A SYNC in OPERATIONAL (CiA 301, 7.2.5), `counter` None without 1019h: take over the `waiting`
+        RPDOs. The result, e.g. `FOLLOWED`, controls the synchronous TPDOs.
         """
         for rpdo in waiting:
             rpdo.synchronise(now)
@@ -56,7 +56,7 @@ class ProcessData:
         return FOLLOWED
 
     def rpdo_received(self, number: int, now: float) -> None:
-        """RPDO `number` is in the dictionary."""
+        """The dictionary has the values of RPDO `number`."""
 
     def sync_received(self, counter: int | None, now: float) -> None:
         """A SYNC, after its RPDOs."""
@@ -74,12 +74,12 @@ class ProcessData:
 class Application(ProcessData):
     """The program behind a :class:`canfb.device.node.Node`: a subclass overrides what it needs.
 
-    The methods may write entries and use the node, but not its `receive` or `tick`. What they raise comes out
-    of the call. Times are seconds, monotonic.
+    The methods may write entries and use the node, but not its `receive` or `tick`, which pass on their
+    exceptions. Times are seconds, monotonic.
     """
 
     def expired(self, now: float) -> None:
-        """A frame after `Expiry.until` is about to be taken."""
+        """A frame received after `Expiry.until` is processed next."""
 
     def overdue(self, now: float) -> None:
         """A `tick` at or after `Expiry.until`."""
@@ -88,10 +88,10 @@ class Application(ProcessData):
         """TIME: days since 1984-01-01, milliseconds of the day."""
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """Another NMT state; `why` in words, "" for a command or a start."""
+        """The NMT state changed; `why` in words, "" for a command or a start."""
 
     def reset_done(self, communication_only: bool, now: float) -> None:
-        """A reset, or the start, before the boot-up: report again what persists."""
+        """After a reset or the start, before the boot-up: report persistent errors again."""
 
     def configuration_changed(self) -> None:
         """PDO parameters or the NMT state have changed."""
@@ -100,7 +100,7 @@ class Application(ProcessData):
         """SDO is about to write `entry`, or LSS to configure (None). SdoAbort refuses it."""
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
-        """Stored parameters that were refused, and why: after a reset, and when it changes."""
+        """Groups of stored parameters that were refused, and why: after a reset and at a change."""
 
     def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
         """These groups were saved, or dropped from the store."""
@@ -109,7 +109,7 @@ class Application(ProcessData):
         """These groups were not saved."""
 
     def emergency_sent(self, code: int, register: int, detail: bytes, now: float) -> None:
-        """An EMCY goes out, with 1001h and 5 bytes."""
+        """The node sends an EMCY: error code, 1001h as ``register``, 5 manufacturer bytes as ``detail``."""
 
     def duplicate_received(self, can_id: int, now: float) -> None:
         """Another node uses a CAN-ID of this one, first time after a reset."""
@@ -118,23 +118,23 @@ class Application(ProcessData):
         """Heartbeat, guarding master or bus is lost; the state changes next."""
 
     def bit_rate_activated(self, kbit_s: int, delay_s: float, now: float) -> None:
-        """LSS activates this bit rate: change it at `now` + `delay_s`; the node is silent up to twice
-        that.
+        """LSS activates this bit rate: change it at `now` + `delay_s`; the node is silent for
+        2 `delay_s`.
         """
 
 
 NEVER = float("inf")  # The deadline of a service that waits for nothing, seconds.
 
-# A receive time may be earlier than the one before by this; by more, the clock was set. No frame is shorter
-# than 47 us (1 Mbit/s), so that it takes errors of twice as much.
+# By how much a receive time may precede the previous one; if by more, the clock was set. The shortest frame
+# takes 47 us (1 Mbit/s), so the order of two frames tolerates this much.
 STAMP_NOISE_S = 50e-6
 
 
 class CallContext:
     """The `now` of the running call, and the time at which its frame was received, seconds.
 
-    `received` is the time stamp of the frame if `is_stamped`, else that of the call; `stamp` the last one
-    that was taken.
+    `received` is the time stamp of the frame if `is_stamped`, else `now`; `stamp` is the last one that was
+    used.
     """
 
     def __init__(self) -> None:
@@ -145,7 +145,8 @@ class CallContext:
     def stamped(self, stamp: float) -> None:
         """The frame of the running call has this time stamp, seconds.
 
-        One a little before the last is as late as that; one far before it, or later than now, is not used.
+        Up to `STAMP_NOISE_S` before the last stamp it counts as equal to that; earlier, or later than now,
+        it is not used.
         """
         last = self.stamp
         self.is_stamped = last - STAMP_NOISE_S <= stamp <= self.now
@@ -157,7 +158,7 @@ class Agenda:
 
     def __init__(self) -> None:
         self._services: tuple[Timed, ...] = ()
-        self.earliest = NEVER  # The earliest deadline, seconds, unless one has :attr:`moved` since.
+        self.earliest = NEVER  # The earliest deadline, seconds; outdated while :attr:`moved`.
         self.moved = True
 
     def fill(self, services: Iterable[Timed]) -> None:
@@ -167,7 +168,7 @@ class Agenda:
         self.moved = True
 
     def due(self) -> float:
-        if self.moved:  # after each SYNC, so without the calls of properties
+        if self.moved:  # runs after each SYNC, so it reads _deadline without the property
             self.earliest = min([service._deadline for service in self._services], default=NEVER)
             self.moved = False
         return self.earliest
@@ -181,7 +182,7 @@ class Agenda:
 class Timed(ABC):
     """A service with a timer, due at `deadline`, seconds."""
 
-    agenda = Agenda()  # Where the service is listed; while it is in none, one that is never asked.
+    agenda = Agenda()  # The agenda that lists the service; until then this dummy, which nobody reads.
     _deadline = NEVER
 
     @property
@@ -201,16 +202,16 @@ class Timed(ABC):
 
 @dataclass(slots=True)
 class Counters:
-    """Frames and values without effect, by reason."""
+    """Frames and values with no effect, by reason."""
 
     # Frames that no service listens to in the present NMT state; frames for others included.
     unknown_cob_ids: int = 0
-    # More than 8 bytes, a CAN-ID above 7FFh, or a length or content that the service cannot mean.
+    # More than 8 bytes, a CAN-ID above 7FFh, or a length or content that the service does not define.
     malformed_frames: int = 0
-    remote_frames: int = 0  # Remote frames where none is meant, or on a TPDO that allows none.
+    remote_frames: int = 0  # Remote frames that no service answers, or on a TPDO that allows none.
     # Data frames with a CAN-ID that only this node may send: another has its node-ID or COB-ID.
     duplicate_frames: int = 0
-    short_rpdos: int = 0  # RPDOs shorter than their mapping; the data was kept.
+    short_rpdos: int = 0  # RPDOs shorter than their mapping, dropped: the entries keep their values.
     long_rpdos: int = 0  # RPDOs longer than their mapping; the mapped part was used.
     late_rpdos: int = 0  # Synchronous RPDOs after the synchronous window (1007h).
     refused_rpdo_values: int = 0  # Mapped values beyond the limits of their entry, or refused by it.
@@ -219,8 +220,8 @@ class Counters:
 
 
 class Pending:
-    """Made by the object (`Core.pending`), taken by the SDO server: `on_end(code)` is called when the write
-    is done (None) or has failed.
+    """An SDO write in progress. The object sets `Core.pending`, the SDO server takes it: `on_end(code)` is
+    called when the write is done (None) or has failed.
     """
 
     def __init__(self) -> None:
@@ -238,9 +239,9 @@ Handler = Callable[[bytes, float], None]  # Takes the data of a frame, and the t
 
 
 class CanIds(NamedTuple):
-    """CAN-IDs that a node listens to in any NMT state, of data and remote frames.
+    """CAN-IDs of data and remote frames that a node listens to in at least one NMT state.
 
-    In any: a master need not wait before it sends PDOs.
+    Independent of the present state: a master need not wait before it sends PDOs.
     """
 
     data: frozenset[int]
@@ -250,8 +251,8 @@ class CanIds(NamedTuple):
 class Routes:
     """The listeners of the present NMT state, by CAN-ID.
 
-    `sent` are notified when a frame of the node itself has left. The tables stay the same objects. `changes`
-    moves, and `on_change` is called, whenever they are filled again.
+    `sent` has the callbacks for frames of the node itself that have left. The dicts stay the same objects;
+    whenever they are filled again, `changes` is incremented and `on_change` called.
     """
 
     def __init__(self) -> None:
@@ -269,7 +270,7 @@ class Routes:
         self.sent.clear()
 
     def add(self, can_id: int | None, handler: Handler) -> None:
-        """One more listener, if any; two on one CAN-ID both get it."""
+        """Add a listener, unless `can_id` is None; several on one CAN-ID all get the frame."""
         if can_id is not None:
             other = self.data.get(can_id)
             self.data[can_id] = handler if other is None else _both(other, handler)
@@ -284,7 +285,7 @@ def _both(first: Handler, second: Handler) -> Handler:
 
 
 class Reactions(ABC):
-    """What follows from what a service notices; `now` in seconds."""
+    """What services notify the node of; `now` in seconds."""
 
     @abstractmethod
     def communication_error(self, why: str, now: float) -> None:
@@ -304,7 +305,7 @@ class Reactions(ABC):
 
     @abstractmethod
     def bit_rate_activated(self, kbit_s: int, delay_s: float) -> None:
-        """Silence for `delay_s`, the change, silence again."""
+        """Be silent for `delay_s`, change the bit rate, be silent for `delay_s`."""
 
     @abstractmethod
     def lss_left(self, now: float) -> None:
@@ -333,7 +334,7 @@ class ErrorReports(Protocol):
 class Core:
     """What the services of a node share."""
 
-    emergency: ErrorReports  # The EMCY producer of the present services; the first of them that is made.
+    emergency: ErrorReports  # The EMCY producer of the present services; made before all others.
 
     def __init__(
         self,
@@ -345,7 +346,7 @@ class Core:
         sdo_timeout_s: float,
     ) -> None:
         self.dictionary = dictionary
-        # The present node-ID, 255 for none. Services hold for one: they are made again with another.
+        # The present node-ID, 255 for none. The services are made again for another.
         self.node_id = node_id
         self.application = application
         self.process: ProcessData = application
@@ -356,11 +357,11 @@ class Core:
         self.counters = Counters()
         self.agenda = Agenda()
         self.routes = Routes()
-        # Of the SDO write that is just being done: its answer waits for this.
+        # Set during an SDO write that ends later; the SDO server then delays its answer.
         self.pending: Pending | None = None
         self.outbox: list[Frame] = []
-        # Sends a frame: with the return of the running call.
+        # Queues a frame; the running call returns it.
         self.emit: Callable[[Frame], None] = self.outbox.append
-        # So long after a SYNC its synchronous RPDOs may come (1007h), seconds; 0.0: always.
+        # Synchronous window length (1007h), seconds; 0.0: no limit.
         self.window_s = 0.0
-        self.window_end = NEVER  # The end of it for the last SYNC.
+        self.window_end = NEVER  # The end of the window after the last SYNC, seconds.

@@ -17,9 +17,9 @@ _WAITING = 8
 
 
 class Emergency(Timed):
-    """Reports errors, each (code and source) once, until it is cleared.
+    """Reports an error (code and source) once until it is cleared.
 
-    Frames that may not go out now (inhibit time 1015h, NMT state) wait, up to eight.
+    Up to eight frames wait while the inhibit time (1015h) or the NMT state forbids sending.
     """
 
     def __init__(self, core: Core) -> None:
@@ -65,7 +65,7 @@ class Emergency(Timed):
         *,
         again: bool = False,
     ) -> bool:
-        """An error appeared: 1001h, 1003h and EMCY. Nothing, and False, if it is active, unless ``again``.
+        """Report an error in 1001h, 1003h and EMCY. False, and no report, if it is active, unless ``again``.
 
         `register_bits` are bits of 1001h, `manufacturer` up to 5 bytes. `source` None: the program.
         """
@@ -94,7 +94,7 @@ class Emergency(Timed):
         self.deadline = self._free_s if self._waiting and self._allowed else NEVER
 
     def sent(self, now: float) -> None:
-        """An EMCY has left: 1015h counts from here."""
+        """An EMCY has left: the inhibit time starts."""
         self._sent_s = now
         self.tick(now)
 

@@ -1,9 +1,8 @@
-"""From power-on to OPERATIONAL (CiA 301, 7.3.2): all services of a node, and what follows from what they
-notice.
+"""From power-on to OPERATIONAL (CiA 301, 7.3.2): all services of a node, and their effects on each other.
 
-A reset puts the dictionary back to its defaults, then what is stored over them; each service then reads its
-parameters again (`configure`). :class:`LifeCycle` is the only place where a service has an effect on others.
-All services hold for one node-ID, and are made again with another.
+A reset sets the dictionary to its defaults, then to the stored values; each service then reads its
+parameters again (`configure`). Services affect each other only through :class:`LifeCycle`. They are made for
+one node-ID, and made again for another.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from canfb.device.sync import Pdos, Sync, TimeStamp
 
 
 class Silence(Timed):
-    """Whether the device is silent, and until when; `boot_up_pending`: a boot-up fell into it."""
+    """Whether the device is silent, and until when; `boot_up_pending`: a boot-up waits for its end."""
 
     def __init__(self, life: LifeCycle) -> None:
         self.active = False
@@ -92,7 +91,7 @@ class Services:
             server.configure()
 
     def enter(self, old: NmtState, new: NmtState, now: float) -> None:
-        """What a NMT state allows and forbids (CiA 301, 7.3.2.2.5)."""
+        """Enable and disable services for the NMT state `new` (CiA 301, 7.3.2.2.5)."""
         operational = new is NmtState.OPERATIONAL
         if old is NmtState.INITIALISING:
             self._silence.boot_up_pending = self._silence.active
@@ -123,7 +122,7 @@ class Services:
         if state in COMMUNICATING:
             routes.add(self.sync.can_id, self.sync.drop if self.sync.generates else self.sync.handle)
             routes.add(self.time_stamp.can_id, self.time_stamp.handle)
-            for server in [] if self._silence.active else self.sdo_servers:  # no answer: nothing is written
+            for server in [] if self._silence.active else self.sdo_servers:  # silent: no request is executed
                 routes.add(server.request_id, server.handle)
         if state is NmtState.OPERATIONAL:
             self.pdos.add_routes(routes)
@@ -143,7 +142,8 @@ class Services:
     def own_can_ids(self) -> frozenset[int]:
         """The CAN-IDs that only this node may send, in any NMT state.
 
-        Those that it also listens to are not among them, except boot-up and heartbeat.
+        A CAN-ID that it also receives is left out, as its frames do not prove a second node; but 700h +
+        node-ID (boot-up, heartbeat) always belongs to them.
         """
         sent = {
             *(server.response_id for server in self.sdo_servers),
@@ -207,13 +207,13 @@ class LifeCycle(Reactions):
         self._boot(False, now)
 
     def node_id_at_power_on(self) -> int:
-        """Read what the store keeps: the node-ID with which the node comes up."""
+        """Read the store; return the node-ID with which the node boots."""
         self.storage.power_on()
         self.lss.power_on()
         return self.lss.pending_node_id
 
     def _boot(self, communication_only: bool, now: float) -> None:
-        """With the pending node-ID, and on from INITIALISING, unless there is no node-ID yet."""
+        """Adopt the pending node-ID, restore, and leave INITIALISING, unless there is no node-ID yet."""
         old, new = self.core.node_id, self.lss.pending_node_id
         if new != old:
             self.enter(NmtState.INITIALISING, now)
@@ -267,7 +267,7 @@ class LifeCycle(Reactions):
     # Reactions
 
     def communication_error(self, why: str, now: float) -> None:
-        """The NMT state of 1029h:01, and ``why``."""
+        """Enter the NMT state of 1029h:01; ``why`` in words."""
         self.core.application.communication_failed(now)
         self.enter(self.services.reaction(self.core.state), now, why)
 
@@ -287,7 +287,7 @@ class LifeCycle(Reactions):
             self.core.routes.add(NMT, self.command)
 
     def bit_rate_activated(self, kbit_s: int, delay_s: float) -> None:
-        """Silence: SDO transfers end, EMCY waits, the program changes the bit rate."""
+        """Begin the silence: end SDO transfers, hold EMCY, have the program change the bit rate."""
         now = self.core.call.now
         if delay_s:
             self.silence.begin(now + 2 * delay_s)
@@ -297,13 +297,13 @@ class LifeCycle(Reactions):
         self.core.application.bit_rate_activated(kbit_s, delay_s, now)
 
     def silence_ended(self, now: float) -> None:
-        """A boot-up that fell into it, then EMCY."""
+        """Send the boot-up that waited, then EMCY."""
         if self.silence.boot_up_pending:
             self.services.producer.boot_up(now)
         self.services.allow_emergency(now)
         self.routes_changed()
 
     def lss_left(self, now: float) -> None:
-        """A first node-ID is in force at once."""
+        """A first node-ID takes effect at once."""
         if self.core.node_id == UNCONFIGURED != self.lss.pending_node_id:
             self._boot(False, now)

@@ -1,6 +1,6 @@
 """LSS slave: node-ID and bit rate over the bus (CiA 305).
 
-A new node-ID is in force from the next reset of the communication on, a first one at once. LSS answers in
+A new node-ID takes effect with the next reset of the communication, a first one at once. LSS answers in
 every NMT state, also without a node-ID (255).
 """
 
@@ -25,9 +25,9 @@ SELECT = range(0x40, 0x44)  # Switch state selective: one frame for each part of
 # Identify remote slave: vendor-ID, product code, lowest and highest revision, and serial number.
 IDENTIFY = range(0x46, 0x4C)
 IDENTIFY_NON_CONFIGURED, FASTSCAN = 0x4C, 0x51
-SELECTED, IDENTIFIED, NON_CONFIGURED = 0x44, 0x4F, 0x50  # Answers to these.
+SELECTED, IDENTIFIED, NON_CONFIGURED = 0x44, 0x4F, 0x50  # Answers to SELECT, IDENTIFY, and both others.
 
-_CONFIRM = 128  # of the fastscan: is there any device without a node-ID?
+_CONFIRM = 128  # The bit number of a fastscan that asks whether any device has no node-ID.
 _PARTS = range(4)
 _LENGTH = 8
 _NODE_ID_RECORD, _BIT_RATE_RECORD = (0, 1), (0, 2)
@@ -42,7 +42,7 @@ class LssState(IntEnum):
 
 
 class LssCommand(IntEnum):
-    """Command specifiers of the services beside identification."""
+    """Command specifiers of all services but selection and identification."""
 
     SWITCH_STATE_GLOBAL = 0x04
     CONFIGURE_NODE_ID = 0x11
@@ -54,7 +54,7 @@ class LssCommand(IntEnum):
 
 
 class Error(IntEnum):
-    """What a service answers."""
+    """Error code in the answer of a service."""
 
     NONE = 0
     NOT_POSSIBLE = 1
@@ -74,13 +74,13 @@ def _collected(parts: list[int], part: int, number: int) -> list[int]:
 class LssSlave:
     """Answers the LSS master, in every NMT state.
 
-    `pending_node_id` is in force from the next reset of the communication, and stored. `bit_rates_kbit_s` are
-    those that the bus can be set to.
+    `pending_node_id` takes effect with the next reset of the communication; LSS stores it.
+    `bit_rates_kbit_s` are the bit rates that the bus supports.
     """
 
     def __init__(self, core: Core, storage: Storage, bit_rates_kbit_s: Collection[int]) -> None:
         self.pending_node_id = self._own_node_id = core.node_id
-        self.bit_rate_kbit_s: int | None = None  # The bit rate that was configured or stored, None for none.
+        self.bit_rate_kbit_s: int | None = None  # The configured or stored bit rate; None: neither.
         self._core = core
         self._storage = storage
         self._bit_rates_kbit_s = frozenset(bit_rates_kbit_s)
@@ -115,7 +115,7 @@ class LssSlave:
         self.state = LssState.WAITING
         self._selection: list[int] = []
         self._range: list[int] = []
-        self._scanned = 0  # the part of the address that the fastscan is at
+        self._scanned = 0  # the part of the address that the fastscan asks for next
 
     def handle(self, data: bytes, now: float) -> None:
         configuring = self.state is LssState.CONFIGURATION

@@ -15,7 +15,7 @@ from canfb.device.od.dictionary import Dictionary, Entry, refuse_if
 # The states with SDO, SYNC and EMCY.
 COMMUNICATING = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 
-# Where a command leads, from any state but INITIALISING.
+# The state that a command leads to, from any state but INITIALISING.
 NEXT_STATE: dict[int, NmtState] = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
@@ -24,7 +24,7 @@ NEXT_STATE: dict[int, NmtState] = {
 
 COMMUNICATION_ONLY: dict[int, bool] = {NmtCommand.RESET_NODE: False, NmtCommand.RESET_COMMUNICATION: True}
 
-# What 1029h makes of a communication error, by its value and the present state.
+# The state after a communication error, by the value of 1029h:01 and the present state.
 REACTION = {
     0: {NmtState.OPERATIONAL: NmtState.PRE_OPERATIONAL},
     1: {},
@@ -35,12 +35,12 @@ WAIT_FOR_MASTER = 1 << 2  # Bit 2 of 1F80h: the node does not go to OPERATIONAL 
 
 
 def startup(dictionary: Dictionary, *, autostart: bool) -> Callable[[], bool]:
-    """Object 1F80h (CiA 302-2): whether the node goes on to OPERATIONAL by itself: bit 2 is 0.
+    """Object 1F80h (CiA 302-2): whether the node enters OPERATIONAL by itself: bit 2 is 0.
 
-    `autostart` takes bit 2 out of the default value, so that a stored value comes first.
+    `autostart` clears bit 2 of the default, so a stored value takes precedence.
     """
     entry = dictionary.assumed(0x1F80, value=WAIT_FOR_MASTER)
-    entry.on_check = refuse_if(lambda value: value & ~WAIT_FOR_MASTER)  # the rest is for masters
+    entry.on_check = refuse_if(lambda value: value & ~WAIT_FOR_MASTER)  # all other bits are for masters
     if autostart:
         entry.default = (entry.default or 0) & ~WAIT_FOR_MASTER
         entry.value &= ~WAIT_FOR_MASTER
@@ -75,7 +75,7 @@ class HeartbeatProducer(Timed):
         self.deadline = now + period if period else NEVER
 
     def tick(self, now: float) -> None:
-        """Send one heartbeat, also for several that were missed."""
+        """Send one heartbeat, even if several are due."""
         self._core.emit(Frame(self._can_id, bytes([self._core.state])))
         period = self.period_s
         following = self.deadline + period if period else NEVER
@@ -87,7 +87,7 @@ class HeartbeatProducer(Timed):
 
 
 class HeartbeatMonitor(Timed):
-    """A sub-index of 1016h: watches a node from its first heartbeat on."""
+    """A sub-index of 1016h: monitors a node from its first heartbeat on."""
 
     def __init__(self, core: Core, entry: Entry, watched: Callable[[], Iterable[HeartbeatMonitor]]) -> None:
         self.entry = entry
@@ -157,11 +157,11 @@ _GUARDING = 0x100C
 
 
 class NodeGuarding(Timed):
-    """Answers the remote frames of a master with the NMT state, and watches that they come.
+    """Answers the remote frames of a master with the NMT state, and monitors their intervals.
 
-    The toggle bit is 0 in the first answer after a reset. The life time, 100Ch milliseconds times 100Dh, runs
-    from the first remote frame on. When it is over: EMCY 8130h and a communication error, once. No guarding
-    with a `heartbeat`, or without 100Ch.
+    The toggle bit is 0 in the first answer after a reset. The life time, 100Ch (ms) x 100Dh, starts with the
+    first remote frame. When it expires: EMCY 8130h and a communication error, once. No guarding while this
+    node produces a `heartbeat`, or if 100Ch is missing.
     """
 
     def __init__(self, core: Core, heartbeat: HeartbeatProducer) -> None:
@@ -180,7 +180,7 @@ class NodeGuarding(Timed):
 
     @property
     def life_time_s(self) -> float:
-        """How long a master may be silent, 0 for ever."""
+        """The life time; 0: no limit."""
         return int(self._guard_time.value) * int(self._factor.value) / 1000
 
     def configure(self, now: float) -> None:

@@ -2,16 +2,16 @@
 
     out  = node.start(now)             power-on: the boot-up
     out  = node.receive(frame, now)    each frame of the bus, in order
-    out  = node.tick(now)              when `deadline` is over
+    out  = node.tick(now)              at the `deadline` or later
     when = node.deadline()             seconds, or None
 
 A host sends `out`, in order, before it calls again. `receive` routes a frame by its CAN-ID to a service. A
-frame never raises: one that nobody listens to is counted. What the application raises comes out.
+frame never raises: without a listener it is counted. Exceptions of the application reach the caller.
 
 `now` is monotonic, seconds; `frame.timestamp`, on the same clock and no later, is the receive time.
 
-:class:`Device`, and protocols beside it, are what a host asks of it. :class:`NodeDevice` has all of them
-but `Computing`: a node that is its own application.
+A host requires :class:`Device` of a node, and uses the protocols below it if the node has them.
+:class:`NodeDevice`, a node that is its own application, has all but `Computing`.
 """
 
 from __future__ import annotations
@@ -34,16 +34,15 @@ _BUS = "bus"
 
 
 class _NeverExpires:
-    """Process data that holds without an end."""
+    """Process data that is always valid."""
 
     until = NEVER
 
 
 class Node:
-    """A CiA 301 slave without I/O, which tells its `application` what happens.
+    """A CiA 301 slave without I/O, which notifies its `application` of events.
 
-    With the node-ID 255 it answers LSS only, until a master has given it one. A stored node-ID takes
-    precedence.
+    With the node-ID 255 it answers LSS only, until a master assigns one. A stored node-ID takes precedence.
     """
 
     def __init__(
@@ -60,16 +59,16 @@ class Node:
     ) -> None:
         """Make the node `node_id` (1..127, 255); ValueError for another, or for an impossible EDS.
 
-        `expiry` is the deadline of the application. With `autostart` bit 2 of 1F80h is 0 by default.
-        `sdo_timeout_s` is how long an SDO client may be silent, more than 0 s. `store` keeps what 1010h and
-        LSS save. `bit_rates_kbit_s` are those that LSS may choose.
+        `expiry` limits the validity of the process data. With `autostart` bit 2 of 1F80h is 0 by default.
+        `sdo_timeout_s` is how long an SDO client may be silent, > 0 s. `store` keeps what 1010h and LSS save.
+        LSS may select one of `bit_rates_kbit_s`.
         """
         if not is_node_id(node_id):
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
         if not 0 < sdo_timeout_s < NEVER:
             raise ValueError(f"sdo_timeout_s is {sdo_timeout_s}; give a time in seconds, more than 0")
         self._application = Application() if application is None else application
-        # Of a module its `SyncJudge`: each SYNC moves `until` on.
+        # A module passes its `SyncJudge`: each SYNC postpones `until`.
         self._expiry: Expiry = _NeverExpires() if expiry is None else expiry
         self._life = life = LifeCycle(
             dictionary,
@@ -86,12 +85,12 @@ class Node:
         self.lss = life.lss
         self.counters = core.counters
         self.call = core.call  # The times of the running call.
-        # What every frame needs, without a detour.
+        # Used for every frame: bound once, to save attribute look-ups.
         self._agenda = core.agenda
         self._outbox = core.outbox
         self._routes, self._remote_routes = core.routes.data, core.routes.remote
         self._silence = life.silence
-        # By CAN-ID: what `sent` calls; the same mapping for the life of the node.
+        # The callbacks of `sent`, by CAN-ID; the same mapping for the life of the node.
         self.inhibited = core.routes.sent
 
     @property
@@ -99,7 +98,7 @@ class Node:
         return self._core.node_id
 
     def node_id_at_power_on(self) -> int:
-        """The node-ID of the next :meth:`start`: what LSS has stored, or else that of the program."""
+        """The node-ID of the next :meth:`start`: the one that LSS stored, else the one of the program."""
         return self._life.node_id_at_power_on()
 
     @property
@@ -116,7 +115,7 @@ class Node:
 
     @property
     def received_can_ids(self) -> frozenset[int]:
-        """CAN-IDs of data frames that do anything now, without its own."""
+        """CAN-IDs of data frames with a listener now, without its own."""
         return frozenset(self._routes) - self.own_can_ids
 
     def can_ids(self) -> CanIds:
@@ -138,9 +137,9 @@ class Node:
         return self._sent()
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take a frame from the bus; gives what is to be sent.
+        """Process a frame from the bus; returns the frames to be sent.
 
-        A late caller first gives all the frames that wait, in their order, and then calls `tick`.
+        A late caller first passes all waiting frames, in order, and then calls `tick`.
         """
         call = self.call
         call.now = now
@@ -167,11 +166,11 @@ class Node:
         return sent
 
     def tick(self, now: float, until: float = NEVER) -> list[Frame]:
-        """Do what was due at ``until``, by default ``now``: later frames may still wait."""
+        """Do what was due at ``until``, by default ``now``: frames received after it may still wait."""
         until = min(now, until)
         call = self.call
         call.now = call.received = now
-        call.is_stamped = True  # a SYNC of its own goes out now
+        call.is_stamped = True  # a SYNC that the node produces in this tick is sent at `now`
         if until >= self._expiry.until:
             self._application.overdue(until)
         self._agenda.tick(now, until)
@@ -187,7 +186,7 @@ class Node:
         return None if due == NEVER else due
 
     def sent(self, can_id: int, now: float) -> None:
-        """A frame of its own with this CAN-ID went onto the bus at `now`: inhibit times count from there."""
+        """A frame of the node with this CAN-ID left at `now`: its inhibit time starts."""
         follow = self.inhibited.get(can_id)
         if follow is not None:
             follow(now)
@@ -201,16 +200,16 @@ class Node:
         return next((rpdo for rpdo in rpdos if rpdo.number == number), None)
 
     def trigger_tpdo(self, number: int, now: float) -> None:
-        """An event for TPDO `number`. Types FEh and FFh are sent, at once or after the inhibit time; type 0
+        """An event for TPDO `number`. Types FEh and FFh are sent at once or after the inhibit time, type 0
         at the next SYNC.
 
-        ValueError when the device has no such TPDO.
+        ValueError if the device has no such TPDO.
         """
         self.call.now = now
         self.tpdo_trigger(number)(now)
 
     def tpdo_trigger(self, number: int) -> Callable[[float], None]:
-        """What `trigger_tpdo` calls, until `configuration_changed`; ValueError for no TPDO."""
+        """The function that `trigger_tpdo` calls, until `configuration_changed`; ValueError as there."""
         tpdos = self._life.services.pdos.tpdos
         if number not in tpdos:
             raise ValueError(f"there is no TPDO {number}; the EDS has {sorted(tpdos)}")
@@ -225,11 +224,10 @@ class Node:
         *,
         again: bool = False,
     ) -> None:
-        """Report an error (CiA 301, 7.2.7): EMCY, 1001h and 1003h. Nothing while it is active, unless
-        `again`.
+        """Report an error (CiA 301, 7.2.7) in EMCY, 1001h and 1003h; an active error only with `again`.
 
-        `register_bits` are bits of 1001h (0..255), `manufacturer` up to 5 bytes; `now` defaults to that of
-        the running call. ValueError beyond these ranges.
+        `register_bits` are bits of 1001h (0..255), `manufacturer` up to 5 bytes; `now` defaults to the time
+        of the running call. ValueError outside these ranges.
         """
         if not 0 <= register_bits <= 0xFF:
             raise ValueError(f"register_bits {register_bits:#x} do not fit the 8 bits of 1001h")
@@ -248,7 +246,7 @@ class Node:
         return self._sent()
 
     def bus_back(self, now: float) -> list[Frame]:
-        """EMCY 8140h, then 0000h. The state stays."""
+        """Send EMCY 8140h, then 0000h; keep the NMT state."""
         self.call.now = now
         if self._core.state is not NmtState.INITIALISING:
             code, emergency = EmergencyCode.BUS_OFF_RECOVERED, self._core.emergency
@@ -297,18 +295,18 @@ class Device(Protocol):
 
 @runtime_checkable
 class Selective(Protocol):
-    """It says what it listens to."""
+    """A device that lists the CAN-IDs it receives."""
 
     def can_ids(self) -> CanIds:
-        """The CAN-IDs that it listens to."""
+        """The CAN-IDs received."""
 
     def follow_can_ids(self, moved: Callable[[], None]) -> None:
-        """``moved`` is called when that changes."""
+        """Call ``moved`` when they change."""
 
 
 @runtime_checkable
 class Ending(Protocol):
-    """It has something to do when the program ends."""
+    """A device that acts when the program ends."""
 
     def end(self, now: float) -> None:
         """The program ends."""
@@ -316,17 +314,17 @@ class Ending(Protocol):
 
 @runtime_checkable
 class Inhibited(Protocol):
-    """Its inhibit times count from when its frames leave."""
+    """A device whose inhibit times start when its frames leave."""
 
     inhibited: Mapping[int | None, object]  # By CAN-ID: the frames for which ``sent`` is called.
 
     def sent(self, can_id: int, now: float) -> None:
-        """A frame of its own has left."""
+        """A frame of the device has left."""
 
 
 @runtime_checkable
 class BusWatching(Protocol):
-    """It is notified when the bus fails and is back."""
+    """A device that is notified of bus failures."""
 
     def bus_off(self, now: float) -> list[Frame]:
         """The bus is gone."""
@@ -337,22 +335,22 @@ class BusWatching(Protocol):
 
 @runtime_checkable
 class Computing(Protocol):
-    """It has something to compute now and then."""
+    """A device with occasional long computations."""
 
     def pending_job(self) -> Any:
         """The pending computation, or None."""
 
     def finish_job(self, job: Any, result: Any, now: float) -> list[Frame]:
-        """What came out, or an Exception."""
+        """Take the result, or an Exception."""
 
     def job_progress(self, job: Any, part: float) -> None:
-        """How far it is, 0..1."""
+        """Progress, 0..1."""
 
 
 class NodeDevice(Node, Application):
-    """A node that is its own application, as FeedbackModule and EncoderInterface are.
+    """A node that is its own application: base of FeedbackModule and EncoderInterface.
 
-    The program that runs it may set ``on_parameter_faults`` (groups of stored parameters that were refused,
+    The host program may set ``on_parameter_faults`` (groups of stored parameters that were refused,
     and why), ``on_duplicate`` (can_id, now) and ``on_bit_rate`` (kbit_s, delay_s, now), see
     :meth:`Application.bit_rate_activated`.
     """
@@ -378,7 +376,7 @@ class NodeDevice(Node, Application):
             store=store,
             bit_rates_kbit_s=bit_rates_kbit_s,
         )
-        self.observer = Application()  # Gets the NMT state, EMCY and saved parameters as well.
+        self.observer = Application()  # Also notified of NMT state, EMCY and saved parameters.
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] = lambda faults: None
         self.on_duplicate: Callable[[int, float], None] = lambda can_id, now: None
         self.on_bit_rate: Callable[[int, float, float], None] = lambda kbit_s, delay_s, now: None
@@ -398,7 +396,7 @@ class NodeDevice(Node, Application):
         self.observer.saving_failed(groups, reason, now)
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
-        """EMCY 6310h, with the groups; and to the program."""
+        """Report EMCY 6310h with the groups, and call `on_parameter_faults`."""
         if faults:
             groups = bytes(sorted(faults))[:5]
             self.emergency(EmergencyCode.DATA_SET, self.register_bits, groups, now)

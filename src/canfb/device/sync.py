@@ -1,8 +1,8 @@
 """SYNC and TIME: 1005h, 1006h, 1007h, 1019h (CiA 301, 7.2.5), and 1012h (7.2.6).
 
-`Sync.handle` serves PDOs in one order: the program says whether they follow (`ProcessData.synchronise`) and
-has the synchronous RPDOs taken over; it acts on the new interval; synchronous TPDOs are sent; then
-`tpdos_sampled`. The CAN-ID does not change while the device produces SYNC, the counter not while 1006h is set
+`Sync.handle` keeps one order: the program takes over the synchronous RPDOs and acts on the new interval
+(`ProcessData.synchronise`, whose result says whether TPDOs follow); synchronous TPDOs are sent; then
+`tpdos_sampled`. The CAN-ID cannot change while the device produces SYNC, the counter not while 1006h is set
 (7.5.2.5 to 7.5.2.22).
 """
 
@@ -30,7 +30,7 @@ class Pdos:
         self.tpdos = {number: Tpdo(core, number) for number in numbers(core.dictionary, Direction.TRANSMIT)}
         self.operational = False
         self.sync_rpdos: list[Rpdo] = []
-        self.send: list[Callable[[float, int | None], None]] = []  # What act at a SYNC.
+        self.send: list[Callable[[float, int | None], None]] = []  # `at_sync` of the synchronous TPDOs.
 
     def enable(self, operational: bool, now: float) -> None:
         self.operational = operational
@@ -57,10 +57,10 @@ class Pdos:
 
 
 class Sync(Timed):
-    """SYNC as the node sees it.
+    """SYNC consumer and producer.
 
-    One of the wrong length gives EMCY 8240h once and does not count. A node that produces SYNC drops what
-    others send; its first SYNC comes one period after the start, with counter 1.
+    A SYNC of the wrong length gives EMCY 8240h once and is ignored. A producer ignores the SYNCs of others;
+    it sends its first SYNC one period after the start, with counter 1.
     """
 
     def __init__(self, core: Core, pdos: Pdos) -> None:
@@ -123,7 +123,7 @@ class Sync(Timed):
         return not wrong
 
     def tick(self, now: float) -> None:
-        """Produce the SYNC that is due; missed periods are left out."""
+        """Produce one SYNC; skip missed periods."""
         period = self._period_s
         following = self.deadline + period
         self.deadline = following if following > now else now + period
@@ -165,14 +165,14 @@ class Sync(Timed):
 
 MILLISECONDS_PER_DAY = 86_400_000
 CONSUME = 1 << 31  # Bit 31 of 1012h: the device listens to TIME.
-PRODUCE = 1 << 30  # Bit 30 of 1012h: the device sends TIME, which this one cannot.
+PRODUCE = 1 << 30  # Bit 30 of 1012h: the device produces TIME; not supported here.
 
 _TIME_LENGTH = 6
 _MILLISECOND_BITS = 0x0FFFFFFF
 
 
 class TimeStamp:
-    """Takes the time of day to the program."""
+    """TIME consumer: passes the time of day to the program."""
 
     def __init__(self, core: Core) -> None:
         self._entry = entry = core.dictionary.assumed(0x1012)

@@ -1,5 +1,6 @@
-"""A device configuration file (CiA 306): an EDS with the values of one device, and its place on the bus;
-and the same as SDO writes: in which order, and in their concise form (CiA 302-3, 1F22h).
+"""A device configuration file (DCF, CiA 306): an EDS with the values, node-ID and bit rate of one device.
+
+Also the order of the SDO writes that set these values, and the concise DCF (CiA 302-3, 1F22h).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _COMMUNICATIONS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
 _SDO_CHANNELS = range(0x1200, 0x1300)
 _EMCY = 0x1014
 
-# What `turn` gives: most parameters, numbers of mapped objects, 1006h, COB-IDs, at last 1020h.
+# Results of `turn`, the order of writing: most parameters, numbers of mapped objects, 1006h, COB-IDs, 1020h.
 TURNS = range(5)
 
 
@@ -36,10 +37,10 @@ def turn(entry: Entry) -> int:
 
 
 def switched_off(entry: Entry, value: Any) -> Any:
-    """The value that lets all others be written, for an entry that is going to have `value`; None: it blocks
-    no other.
+    """The value that an entry needs so that the others can be written; `value` is its final one. None: it
+    blocks no other.
 
-    PDOs, EMCY and further SDO servers not valid, nothing mapped, no SYNC, no TIME, no heartbeat to wait for.
+    PDOs, EMCY, further SDO servers, SYNC, TIME and heartbeat consumers are off, and nothing is mapped.
     """
     if _is_mapping_count(entry) or entry.index in (_CYCLE_PERIOD, _CONSUMERS):
         return 0
@@ -47,7 +48,7 @@ def switched_off(entry: Entry, value: Any) -> Any:
         return None
     if entry.index == _SYNC:
         return value & ~cob.GENERATE
-    # Bit 31 of 1012h means that TIME is consumed; that of all others, that the object does not exist.
+    # Bit 31 of 1012h: TIME is consumed. Bit 31 of all other COB-IDs: the object is not valid.
     return value & cob.CAN_ID if entry.index == _TIME else cob.NOT_VALID
 
 
@@ -77,7 +78,7 @@ class Write:
 
 
 def encode_concise(writes: Iterable[Write]) -> bytes:
-    """Their number, then index, sub-index, size and data of each."""
+    """The concise DCF: the number of writes, then index, sub-index, size and data of each."""
     parts = [_HEADER.pack(one.index, one.subindex, len(one.data)) + one.data for one in writes]
     return _COUNT.pack(len(parts)) + b"".join(parts)
 
@@ -104,13 +105,13 @@ def decode_concise(data: bytes) -> list[Write]:
 COMMISSIONING = "DeviceComissioning"  # The section as CiA 306 spells it.
 LINE_END = "\r\n"
 _PLAIN = 1e9
-REFUSE_ON_DOWNLOAD = 0x1  # Bit 0 of ObjFlags: not to be written when a configuration is loaded.
+REFUSE_ON_DOWNLOAD = 0x1  # Bit 0 of ObjFlags: a configuration tool must not write the entry.
 
 Place = tuple[int, int]
 
 
 class Reals(Enum):
-    """How reals are written: CiA 306 does not say it."""
+    """Notation of reals, which CiA 306 leaves open."""
 
     DECIMAL = "decimal"
     IEEE754 = "ieee754"  # The bits of the number, in hexadecimal.
@@ -134,9 +135,9 @@ def dcf_text(
 ) -> str:
     """The DCF from the EDS at `path`, with `values` by index and sub-index as its ParameterValue.
 
-    Values are numbers, without $NODEID, in the notation of the EDS. `files` are names of files for
-    DownloadFile. `date` is mm-dd-yyyy, `time` hh:mm with AM or PM; `bit_rate_kbit_s` None: not known, and
-    left out. ValueError for an entry that the EDS does not have.
+    Numbers, without $NODEID, follow the notation of the EDS. `files` are file names for DownloadFile.
+    `date` is mm-dd-yyyy, `time` hh:mm with AM or PM; `bit_rate_kbit_s` None: unknown, left out. ValueError
+    for an entry that the EDS does not have.
     """
     contents = eds.read(path)
     sections = eds.sections(contents)
@@ -180,11 +181,11 @@ def dcf_text(
 
 
 def real_as_text(data_type: int, value: float, reals: Reals) -> str:
-    """The shortest decimal number that is it, or its bits."""
+    """The shortest decimal number that reads back as `value`, or its bits."""
     data = datatypes.encode(data_type, value)
     if reals is Reals.IEEE754:
         return f"0x{data[::-1].hex().upper()}"
-    plain = [str(int(value))] if abs(value) < _PLAIN else []  # some readers know whole numbers only
+    plain = [str(int(value))] if abs(value) < _PLAIN else []  # some tools read no exponents
     texts = [*plain, *(f"{value:.{digits}g}" for digits in range(1, 18))]
     return next((text for text in texts if _is_text_of(text, data_type, data)), repr(float(value)))
 
@@ -192,7 +193,7 @@ def real_as_text(data_type: int, value: float, reals: Reals) -> str:
 def _is_text_of(text: str, data_type: int, data: bytes) -> bool:
     try:
         return datatypes.encode(data_type, float(text)) == data
-    except ValueError:  # rounded up beyond the largest number
+    except ValueError:  # rounding gave more than the largest number of the type
         return False
 
 

@@ -24,13 +24,13 @@ RPDO_ACCESS = frozenset({"wo", "rw", "rww"})
 class Entry:
     """A sub-index of the object dictionary (CiA 301, 7.4).
 
-    `value` belongs to the owner of the object; SDO and PDO go through the checks. `access` is ro, wo, rw,
+    The owner of the object assigns `value` without checks; SDO and PDO pass them. `access` is ro, wo, rw,
     const, rww (rw, mappable into an RPDO only) or rwr (into a TPDO only). `low` and `high` limit values from
     the bus.
 
-    `on_read()` gives a live value, `on_check(value)` raises SdoAbort without effect, `on_written()` acts on
-    the new `value` or refuses it, `on_download()` runs after an SDO write. `follows_node_id`: $NODEID is in
-    the default.
+    `on_read()` gives a live value, `on_check(value)` may raise SdoAbort before the write, `on_written()` acts
+    on the new `value` or refuses it, `on_download()` runs after an SDO write. `follows_node_id`: the default
+    contains $NODEID.
     """
 
     index: int
@@ -48,7 +48,7 @@ class Entry:
     on_check: Callable[[Any], None] | None = field(default=None, init=False)
     on_written: Callable[[], None] | None = field(default=None, init=False)
     on_download: Callable[[], None] | None = field(default=None, init=False)
-    # A hot slot of the type of the object; each reader knows its own.
+    # Read for every frame, hence not a property; its type is that of the object.
     value: Any = field(init=False)
 
     def __post_init__(self) -> None:
@@ -69,7 +69,7 @@ class Entry:
         return other
 
     def reset(self) -> None:
-        """Back to the default, or to zero. No hook runs."""
+        """Set the default, or zero. No hook runs."""
         self.value = datatypes.zero(self.data_type) if self.default is None else self.default
 
     @property
@@ -183,7 +183,7 @@ class Dictionary:
     def load(cls, path: str | Path, node_id: int) -> Dictionary:
         """The objects of an EDS file for node `node_id` (1..127; 255 for none yet), all at their defaults.
 
-        OSError when the file cannot be read, ValueError that names the section for something impossible.
+        OSError if the file cannot be read, ValueError with the section for invalid contents.
         1021h is the file itself.
         """
         if not (1 <= node_id <= 127 or node_id == 255):
@@ -214,7 +214,7 @@ class Dictionary:
         return self._entries.get((index, subindex))
 
     def assumed(self, index: int, subindex: int = 0, value: int = 0) -> Entry:
-        """The entry, or one that nobody can reach, with this value."""
+        """The entry, or a dummy outside the dictionary with this value."""
         found = self.find(index, subindex)
         return (
             Entry(index, subindex, datatypes.DataType.UNSIGNED32, default=value) if found is None else found
@@ -236,7 +236,7 @@ class Dictionary:
         return sorted(index for index in self._objects if index in area)
 
     def change_node_id(self, old: int, new: int) -> None:
-        """Defaults with the node-ID in them, and values at such defaults, move."""
+        """Recalculate defaults that contain the node-ID, and values equal to such a default."""
         for entry in self._entries.values():
             if entry.follows_node_id and isinstance(entry.default, int):
                 is_default = entry.value == entry.default
@@ -245,7 +245,7 @@ class Dictionary:
                     entry.value = entry.default
 
     def reset(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
-        """Values of `first` to `last` back to their defaults. No hook runs."""
+        """Set the entries `first` to `last` to their defaults. No hook runs."""
         for entry in self._entries.values():
             if first <= entry.index <= last:
                 entry.reset()

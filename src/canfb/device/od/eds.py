@@ -1,8 +1,8 @@
 """EDS and DCF files (CiA 306): one reader, for the device and for the tools.
 
-Tolerant where files in the field are odd and nothing depends on it (byte order mark, Ctrl-Z, Windows-1252,
-indented lines, case, octal numbers, blank ones); strict where a value decides: a bad data type, access,
-default or limit is refused, with its section and key. A content is read once in a process.
+Tolerant of oddities that change no value (byte order mark, Ctrl-Z, Windows-1252, indented lines, case, octal
+numbers, empty ones); strict about values: a bad data type, access, default or limit is refused, with its
+section and key. The same content is parsed once in a process.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class ObjectKind(IntEnum):
 class Description:
     """One entry as the file describes it; `default`, `low` and `high` are texts until a node-ID is known.
 
-    `parent` is the name of the object, empty where the entry is all of it. `unit` is a key Unit, or a comment
-    `;Unit=` above the section.
+    `parent` is the name of the object, empty if it has no sub-indices. `unit` is from a key Unit, or from a
+    comment `;Unit=` above the section.
     """
 
     index: int
@@ -69,7 +69,7 @@ class Description:
         return self.value_of("LowLimit", self.low, node_id), self.value_of("HighLimit", self.high, node_id)
 
     def value_of(self, key: str, text: str, node_id: int) -> Any:
-        try:  # a thousand times at each start: no context manager
+        try:  # runs a thousand times at each start: a context manager would be slow
             return number(text, self.data_type, node_id)
         except ValueError as error:
             raise ValueError(f"[{self.section}] {key}: {error}") from None
@@ -82,13 +82,13 @@ class Described:
     product_name: str
     vendor: int | None
     product: int | None
-    objects: tuple[int, ...]  # Indices in ascending order; one may be without entries.
+    objects: tuple[int, ...]  # Indices in ascending order; an object may have no entries.
     entries: tuple[Description, ...]
     dummies: frozenset[int]  # Data types that may fill gaps of an RPDO (section DummyUsage).
 
 
 ACCESS = frozenset({"ro", "rw", "wo", "rwr", "rww", "const"})
-FIRST_OBJECT = 0x1000  # Below are data types (CiA 301, 7.4.1), which are no objects of the device.
+FIRST_OBJECT = 0x1000  # Lower indices are data types (CiA 301, 7.4.1), not objects of the device.
 LONGEST_MESSAGE = 200
 # Data types that a profile or a manufacturer defines: their values are bytes here.
 _FIRST_OWN_TYPE, _LAST_OWN_TYPE = 0x20, 0x025F
@@ -100,7 +100,7 @@ _DUMMY = re.compile(r"^Dummy([0-9A-Fa-f]{4})$", re.IGNORECASE)
 _HEADER = re.compile(r"^\[([^\]\n]*)\]", re.MULTILINE)
 _UNIT = re.compile(r"^; *Unit *=(.*)\n\[([^\]\n]*)\]", re.MULTILINE)
 _OCTAL = re.compile(r"[+-]?0[0-9]+")
-# What the sub-indices of CompactSubObj have of their object.
+# The keys that the sub-indices of CompactSubObj inherit from their object.
 _SHARED = frozenset({"DataType", "AccessType", "PDOMapping", "LowLimit", "HighLimit", "DefaultValue"})
 # Sections and keys as CiA 306 spells them; case has no meaning in a file.
 _SPELLING = {
@@ -115,7 +115,7 @@ _SPELLING = {
 
 
 def read(path: Path) -> Contents:
-    """The sections of the file, completed. OSError, ValueError when it is not an EDS."""
+    """The sections of the file, as of `parse`. OSError; ValueError if it is not an EDS."""
     with saying(ValueError, str(path), ValueError):
         return parse(path.read_bytes())
 
@@ -131,7 +131,7 @@ def parse(content: bytes) -> Contents:
     try:
         parser.read_string(text, source="the file")
     except ParserError as error:
-        said = " ".join(str(error).split())[:LONGEST_MESSAGE]  # it tells of every line
+        said = " ".join(str(error).split())[:LONGEST_MESSAGE]  # the message lists every bad line
         raise ValueError(f"not an EDS: {said}") from error
     contents = {name: dict(parser.items(name)) for name in parser.sections()}
     for section in filter(_INDEX.match, parser.sections()):
@@ -144,8 +144,8 @@ def parse(content: bytes) -> Contents:
 
 
 def _text(content: bytes) -> str:
-    """Lines without blanks around them: an indented one would continue the one before."""
-    text, _, _ = decoded(content).partition("\x1a")  # the end of a text file, once
+    """Lines stripped of blanks: an indented line would continue the previous one."""
+    text, _, _ = decoded(content).partition("\x1a")  # Ctrl-Z, the end-of-file mark of DOS
     return "\n".join(line.strip() for line in re.split(r"\r\n?|\n", text))
 
 
@@ -167,7 +167,7 @@ def _section_name(name: str) -> str:
 def sections(contents: Contents) -> dict[tuple[int, int], str]:
     """Name of the section that describes each entry, by index and sub-index.
 
-    An object with sub-indices has a section of its own too, hidden here by that of sub-index 0.
+    For sub-index 0 of an object with sub-indices, it is ``[1018sub0]`` rather than ``[1018]``.
     """
     found: dict[tuple[int, int], str] = {}
     for name in contents:
@@ -180,7 +180,7 @@ def sections(contents: Contents) -> dict[tuple[int, int], str]:
 
 @lru_cache(maxsize=8)
 def content_described(content: bytes) -> Described:
-    """What a file with this content describes. ValueError with section and key for the impossible."""
+    """Parse the content of an EDS file. ValueError with section and key for invalid values."""
     contents = parse(content)
     units = {_section_name(match[2]): match[1].strip() for match in _UNIT.finditer(_text(content))}
     places = sections(contents)
@@ -246,9 +246,9 @@ def _description(
 def number(text: str, data_type: int, node_id: int) -> Any:
     """A default or a limit as the file writes it; None for an empty text.
 
-    `$NODEID` is replaced; a leading 0 means octal; a hexadecimal or octal one beyond the positive range
-    of a signed type is its two's complement, that of a REAL its bits (CiA 306). ValueError when the text is
-    not such a number.
+    `$NODEID` is replaced; a leading 0 means octal; a hexadecimal or octal number beyond the positive range
+    of a signed type is its two's complement, for a REAL its bits (CiA 306). ValueError if the text is not
+    such a number.
     """
     text = text.strip()
     if not text:
@@ -264,14 +264,14 @@ def number(text: str, data_type: int, node_id: int) -> Any:
     terms = text.removeprefix("+").split("+")
     value = sum(node_id if term.strip().upper() == "$NODEID" else whole(term) for term in terms)
     bits = datatypes.SIGNED_BITS.get(data_type, 0)
-    # Some tools write it with 32 bits, or 64, for any type.
+    # Some tools write the two's complement with 32 or 64 bits even for shorter types.
     wraps = [1 << width for width in (bits, 32, 64) if terms[0].startswith("0") and width >= bits > 0]
     value -= next((wrap for wrap in wraps if wrap - (1 << bits - 1) <= value < wrap), 0)
     return bool(value) if data_type == DataType.BOOLEAN else value
 
 
 def whole(text: str) -> int:
-    """A whole number: decimal, 0x hexadecimal, or octal with a leading 0 (CiA 306). ValueError for none."""
+    """A whole number: decimal, 0x hexadecimal, or octal with a leading 0 (CiA 306). ValueError otherwise."""
     text = text.strip()
     try:
         return int(text, 8) if _OCTAL.fullmatch(text) else int(text, 0)

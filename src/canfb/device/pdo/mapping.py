@@ -1,7 +1,7 @@
 """PDO parameters and mapping (CiA 301, 7.5.2.35 to 7.5.2.38): what may be written when.
 
-Mapped objects follow each other, least significant bit first, compiled once into `packer` or `unpacker`. Each
-step of the procedure is checked by `on_check` of its entry, so for SDO, restored values and DCF alike.
+Mapped objects follow each other, least significant bit first; `packer` or `unpacker` is compiled once. The
+`on_check` of each entry checks its step of the procedure, for SDO writes, restored values and DCF alike.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Slot(NamedTuple):
 
 
 def resolve(dictionary: Dictionary, mapping: int, direction: Direction) -> Slot:
-    """What a mapping entry (index, sub-index, bits) names. SdoAbort if it does not exist or cannot be
+    """The object of a mapping entry (index, sub-index, bits). SdoAbort if it does not exist or cannot be
     mapped.
     """
     index, subindex, bits = mapping >> 16, mapping >> 8 & 0xFF, mapping & 0xFF
@@ -79,8 +79,8 @@ def numbers(dictionary: Dictionary, direction: Direction) -> list[int]:
 class PdoParameters:
     """14xxh and 16xxh, or 18xxh and 1Axxh, of one PDO, with the checks of the procedure.
 
-    While the PDO is not valid its communication parameters can be written in any order; whether they go
-    together is checked when bit 31 is cleared. `changed` is called after each accepted change.
+    While the PDO is not valid its communication parameters can be written in any order; their combination
+    is checked when bit 31 is cleared. `changed` is called after each accepted change.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class PdoParameters:
         return self._dictionary.assumed(self._communication, subindex)
 
     def active_slots(self) -> list[Slot]:
-        """The mapped objects of a valid PDO. ValueError for the impossible."""
+        """The mapped objects of a valid PDO. ValueError for an impossible mapping."""
         return self._slots() if self.is_valid else []
 
     def _check_cob_id(self, value: int) -> None:
@@ -146,7 +146,7 @@ class PdoParameters:
                 self._check_combination(self.cob_id.value, value)
 
     def _check_combination(self, cob_id: int, kind: int) -> None:
-        """Refuse a valid PDO that nothing could ever ask for; CiA 301 is silent on it."""
+        """Refuse a valid PDO that nothing could ever trigger; CiA 301 does not mention this case."""
         if kind in REMOTE_ONLY and cob_id & cob.NO_RTR:
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
@@ -163,7 +163,7 @@ class PdoParameters:
     def _check_mapping(self, value: int) -> None:
         if self.is_valid or self.count.value:
             raise SdoAbort(AbortCode.UNSUPPORTED_ACCESS)
-        if value:  # 0 empties the place
+        if value:  # 0 clears the mapping entry
             resolve(self._dictionary, value, self._direction)
 
     def _slots(self) -> list[Slot]:
@@ -177,7 +177,7 @@ class PdoParameters:
 
 
 def struct_of(slots: Sequence[Slot]) -> struct.Struct | None:
-    """The whole PDO as one `struct`; None where it is not whole bytes of known types."""
+    """The PDO as one `struct`; None if an object is not whole bytes of a known type."""
     letters = [
         datatypes.FORMATS.get(slot.data_type, "") if slot.entry is not None else f"{slot.bits // 8}x"
         for slot in slots

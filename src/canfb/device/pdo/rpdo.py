@@ -2,7 +2,7 @@
 
 | type, 14xxh:02 | takes effect |
 | --- | --- |
-| 0 to F0h | at the next SYNC, if it comes within the window of 1007h; the last of several counts |
+| 0 to F0h | at the next SYNC, if received within the window of 1007h; the last of several counts |
 | FEh, FFh | at once |
 
 The mapping is compiled once (:func:`unpacker`): a sample costs one `struct` call and an assignment for each
@@ -21,7 +21,7 @@ from canfb.device.pdo.mapping import SYNCHRONOUS, Direction, PdoParameters, Slot
 
 Unpack = Callable[[bytes], int]
 
-# What an RPDO of the mapped length ends.
+# The errors that an RPDO of the mapped length clears.
 ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, EmergencyCode.RPDO_TIMEOUT)
 
 
@@ -45,7 +45,7 @@ class Rpdo(Timed):
         self.enable(False, 0.0)
 
     def holds(self, objects: Iterable[tuple[int, int]]) -> bool:
-        """It is valid, and has these objects."""
+        """Whether it is valid and maps these objects."""
         mapped = {mapping >> 8 for mapping in self.parameters.mappings}
         return self.parameters.is_valid and {index << 8 | sub for index, sub in objects} <= mapped
 
@@ -60,7 +60,7 @@ class Rpdo(Timed):
         self._unpack = unpacker(slots)
         self.is_synchronous: bool = self.parameters.type.value in SYNCHRONOUS
         self._timeout_s: float = self._timeout.value / 1000
-        # PDOs of a synchronous type that came since the last SYNC; the last one, `_pending`, is taken over.
+        # Number of synchronous PDOs since the last SYNC; the next SYNC takes over the last one, `_pending`.
         self.waiting = 0
         self.deadline = NEVER
         self._choose_usual()
@@ -74,7 +74,7 @@ class Rpdo(Timed):
         self._core.process.rpdo_received(self.number, now)
 
     def _look_closely(self, data: bytes, now: float) -> bool:
-        """Not simply to be taken over. False: not now, or not at all."""
+        """The unusual cases of `handle`. False: do not take the PDO over now."""
         received, mapped = len(data), self._length
         if received < mapped:
             self._counters.short_rpdos += 1
@@ -116,7 +116,7 @@ class Rpdo(Timed):
         self._core.emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
 
     def _choose_usual(self) -> None:
-        """Bytes of a PDO that is taken over at once, and no more; -1: none is."""
+        """Set the length, bytes, of PDOs that `handle` takes over at once; -1: none."""
         supervised = self._failed or self._timeout_s > 0
         self._usual_length = -1 if supervised or self.is_synchronous else self._length
 
@@ -141,9 +141,9 @@ def length_of(slots: Sequence[Slot]) -> int:
 
 
 def unpacker(slots: Sequence[Slot]) -> Unpack:
-    """What stores the data of a PDO, at least its length, and gives the number of values that were refused.
+    """A function that stores the data of a PDO and returns the number of refused values.
 
-    Limits and hooks of the entries are looked at now, not later.
+    The data must have the mapped length or more. Limits and hooks of the entries are evaluated now only.
     """
     entries = tuple(slot.entry for slot in slots if slot.entry is not None)
     whole = struct_of(slots)
@@ -179,7 +179,7 @@ def unpacker(slots: Sequence[Slot]) -> Unpack:
 
 
 def bit_unpacker(slots: Sequence[Slot]) -> Unpack:
-    """Any lengths, without gaps."""
+    """An `unpacker` for objects of any bit length."""
 
     def unpack(data: bytes) -> int:
         word = int.from_bytes(data, "little")

@@ -3,12 +3,12 @@
 | type, 18xxh:02 | is sent |
 | --- | --- |
 | 0 | at the SYNC after an event |
-| 1 to F0h | at every n-th SYNC, with a counter (1019h) from that of sub-index 6 on |
+| 1 to F0h | at every n-th SYNC; with a counter (1019h) from the SYNC whose counter is sub-index 6 |
 | FCh | on a remote frame, as sampled at the last SYNC |
 | FDh | on a remote frame |
-| FEh, FFh | at an event, not before the inhibit time, at the latest when the event timer is over |
+| FEh, FFh | at an event, not before the inhibit time is over, and when the event timer expires |
 
-`Tpdo.at_event` and `at_sync` are what an event and a SYNC call: `send` itself where no more is to be decided.
+An event calls `Tpdo.at_event`, a SYNC `at_sync`: each is `send` itself if no condition remains to be checked.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ _new = tuple.__new__  # makes a named tuple in half the time that its own constr
 class Tpdo(Timed):
     """Samples the dictionary and sends it.
 
-    A remote frame asks for any TPDO whose COB-ID has bit 30 = 0. Sub-index 3 is the inhibit time (100 us), 5
-    the event timer (ms). Synchronous TPDOs go out with the SYNC itself, so the window of 1007h always holds.
+    A remote frame requests any TPDO whose COB-ID has bit 30 = 0. Sub-index 3 is the inhibit time (100 us), 5
+    the event timer (ms). Synchronous TPDOs are sent with the SYNC itself, always within the window
+    of 1007h.
     """
 
     def __init__(self, core: Core, number: int) -> None:
@@ -67,7 +68,7 @@ class Tpdo(Timed):
         return self._is_active and (self._type in SYNCHRONOUS or self._type == SYNC_REMOTE)
 
     def enable(self, operational: bool, now: float) -> None:
-        """Whether the state allows PDOs; compiles the mapping."""
+        """Activate the TPDO if `operational`; compile the mapping."""
         self._operational = operational
         slots = self.parameters.active_slots() if operational else []
         self._pack, self._is_active = packer(slots), bool(slots)
@@ -77,7 +78,7 @@ class Tpdo(Timed):
         self._inhibit_s: float = self._inhibit.value / 10_000
         self._timer_s: float = self._event_timer.value / 1000 if self._event_driven else 0.0
         self.is_inhibited = self._event_driven and self._inhibit_s > 0
-        self._event &= self._is_active  # it still waits where another type or timer is written
+        self._event &= self._is_active  # a waiting event outlasts a write to the type or a timer
         self._limited = self._inhibit_s > 0 or self._timer_s > 0 or self._event
         self.at_event = self.send if self._event_driven and not self._limited else self.trigger
         self._timer_end = now + self._timer_s if self._timer_s else NEVER
@@ -105,7 +106,7 @@ class Tpdo(Timed):
             self.send(now)
 
     def send(self, now: float, counter: int | None = None) -> None:
-        """Sample it and send it; only while it is active."""
+        """Sample and send it; only while it is active."""
         self._emit(_new(Frame, (self._can_id, self._pack(), False, None)))
         if self._limited:
             self._restart(now)
@@ -120,12 +121,12 @@ class Tpdo(Timed):
             self.send(now)
 
     def sent(self, now: float) -> None:
-        """While it `is_inhibited`."""
+        """It left at `now`: the inhibit time starts. Called only if `is_inhibited`."""
         self._sent_s = now
         self._schedule()
 
     def tick(self, now: float) -> None:
-        """An event that may go out now, or the event timer is over."""
+        """The inhibit time of a waiting event, or the event timer, is over."""
         self._timer_end = NEVER
         self.trigger(now)
 
@@ -161,9 +162,9 @@ class Tpdo(Timed):
 
 
 def packer(slots: Sequence[Slot]) -> Pack:
-    """What gives the data of a PDO from the current values; ValueError when one does not fit its type.
+    """A function that packs the current values; ValueError when one does not fit its type.
 
-    Hooks of the entries are looked at now, not later.
+    Hooks of the entries are evaluated now only.
     """
     entries = tuple(slot.entry for slot in slots if slot.entry is not None)
     whole = struct_of(slots)
@@ -197,11 +198,11 @@ def packer(slots: Sequence[Slot]) -> Pack:
 
 
 def _encoded(entries: tuple[Entry, ...]) -> bytes:
-    return b"".join([entry.encode() for entry in entries])  # which says whose value does not fit
+    return b"".join([entry.encode() for entry in entries])  # its error names the entry
 
 
 def bit_packer(slots: Sequence[Slot]) -> Pack:
-    """Any lengths, without gaps; the rest is 0."""
+    """A `packer` for any bit lengths; unused bits are 0."""
     length = (sum(slot.bits for slot in slots) + 7) // 8
 
     def pack() -> bytes:

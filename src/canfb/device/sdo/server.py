@@ -1,4 +1,4 @@
-"""SDO server: one channel of 1200h to 127Fh, and which CAN-IDs it has (CiA 301, 7.2.4, 7.5.2.33)."""
+"""SDO server: one channel of 1200h to 127Fh with its CAN-IDs (CiA 301, 7.2.4, 7.5.2.33)."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _DYNAMIC = 1 << 30
 
 
 class SdoServer(Timed):
-    """One channel, with the COB-IDs of `index`; it exists while both are valid. The first is always there.
+    """One channel, with the COB-IDs of `index`; it exists while both are valid, the first one always.
 
     Serves one client at a time. A request that is not 8 bytes long is ignored; a new one within a transfer
-    gives the old one up.
+    ends the old transfer.
     """
 
     def __init__(self, core: Core, index: int) -> None:
@@ -74,7 +74,7 @@ class SdoServer(Timed):
 
     def configure(self) -> None:
         self.drop()
-        if self._index != FIRST_INDEX and self.request_id is not None:  # else that of the last answer stays
+        if self._index != FIRST_INDEX and self.request_id is not None:  # else keep that of the last answer
             self._answer_id = self._response.value & cob.CAN_ID
 
     def _cob_id_written(self) -> None:
@@ -93,11 +93,11 @@ class SdoServer(Timed):
         self._pending = None
         self._core.pending = None
         transfer, self._transfer = self._transfer, None
-        # Of the running call.
+        # Index and sub-index of the running call.
         self._multiplexer = data[1:4] if transfer is None else transfer.multiplexer
         try:
             if transfer is not None and transfer.accepts(data[0]):
-                if transfer.target is not None:  # a lock may have closed since the transfer began
+                if transfer.target is not None:  # writing may have been forbidden since the transfer began
                     self._core.application.check_write(transfer.target)
                 if transfer.handle(data):
                     self._transfer = transfer
@@ -113,7 +113,7 @@ class SdoServer(Timed):
 
     def tick(self, now: float) -> None:
         transfer = self._transfer
-        assert transfer is not None  # else nothing is due
+        assert transfer is not None  # without one the deadline is NEVER
         if transfer.pause < NEVER:
             transfer.proceed()
         else:
@@ -134,7 +134,7 @@ class SdoServer(Timed):
             pending.on_end = partial(self._written, pending, self._multiplexer, payload)
 
     def _written(self, pending: Pending, multiplexer: bytes, payload: bytes, code: AbortCode | None) -> None:
-        if pending is not self._pending:  # another request has come meanwhile
+        if pending is not self._pending:  # a later request replaced it
             return
         self._pending = None
         if code is None:
@@ -159,7 +159,7 @@ class SdoServer(Timed):
         entry = self._writable(data)
         command, multiplexer = data[0], data[1:4]
         if command & 0x02:
-            # Without a size: that of the entry.
+            # If the client gives no size, the size of the entry counts.
             size = 4 - (command >> 2 & 0x03) if command & 0x01 else min(entry.byte_length or 4, 4)
             entry.download(data[4 : 4 + size])
             self._reply(b"\x60" + multiplexer)

@@ -1,4 +1,4 @@
-"""SDO transfers (CiA 301, 7.2.4.3): what all have in common, expedited, segmented and block transfer."""
+"""SDO transfers (CiA 301, 7.2.4.3): their common base, segmented and block transfer."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ ABORT_COMMAND = 0x80
 
 
 class Transfer(ABC):
-    """One transfer that takes more than one frame of the client.
+    """A transfer with more than one client frame.
 
     `multiplexer` is index and sub-index as in the frames; `target` is the entry that a download writes, None
-    for an upload. `pause` is how long the server waits by itself before `proceed`, seconds; NEVER while it
-    waits for the client.
+    for an upload. `pause` is the time until the server calls `proceed`, seconds; NEVER while it waits for the
+    client.
     """
 
     target: Entry | None = None
@@ -43,18 +43,18 @@ class Transfer(ABC):
 
     @abstractmethod
     def accepts(self, command: int) -> bool:
-        """Whether this first byte belongs to it."""
+        """Whether a frame with this first byte belongs to this transfer."""
 
     @abstractmethod
     def handle(self, data: bytes) -> bool:
-        """Take a frame; False: complete. SdoAbort ends it."""
+        """Process a frame; False: complete. SdoAbort ends it."""
 
     def proceed(self) -> None:  # noqa: B027  (most never pause)
-        """Go on sending after the pause."""
+        """Continue to send after the pause."""
 
 
 def check_received(entry: Entry, received: int, announced: int | None) -> None:
-    """Refuse more data, bytes, than was announced, or than the entry takes."""
+    """Refuse more bytes than were announced, or than the entry accepts."""
     limit = entry.byte_length if announced is None else announced
     if (limit or announced == 0) and received > limit:
         raise SdoAbort(AbortCode.TOO_LONG)
@@ -99,7 +99,7 @@ class SegmentedUpload(Transfer):
 
 
 class Download(Transfer):
-    """Client to server; written when all is there."""
+    """Client to server; the entry is written when all data is there."""
 
     def __init__(self, multiplexer: bytes, entry: Entry, announced: int | None, reply: Reply) -> None:
         if announced is not None and announced < entry.byte_length:
@@ -137,29 +137,29 @@ class SegmentedDownload(Download):
         return not last
 
 
-LARGEST_BLOCK = 127  # Segments of a block at most (CiA 301).
+LARGEST_BLOCK = 127  # Largest number of segments in a block (CiA 301).
 
-# Segments of a block that the server asks for. Not more, so that the first byte of a new request (20h and up,
-# A0h and up) cannot be taken for the sequence number of a segment.
+# Segments per block that the server requests: sequence numbers below 20h (A0h in the last segment) differ
+# from the first byte of every new request.
 DOWNLOAD_BLOCK = 31
 
-BURST = 4  # Segments of an upload that are sent at once ...
-PAUSE_S = 0.001  # ... and the time to the next, seconds: PDOs must not wait behind a whole block.
+BURST = 4  # Segments of an upload that are sent at once.
+PAUSE_S = 0.001  # Pause after a burst, seconds: PDOs must not wait for a whole block.
 
 _LAST_OF_BLOCK = 0x80
 _SEQUENCE = 0x7F
-_UPLOAD_ANSWER = 0xC2  # with the size
+_UPLOAD_ANSWER = 0xC2  # block upload response with the size indicated
 _UPLOAD_END = 0xC1
 _DOWNLOAD_ANSWER = 0xA0
 _DOWNLOAD_ACKNOWLEDGE = 0xA2
 _DOWNLOAD_END = 0xA1
 
-# In the first frame of either side. The server sets it only when the client did: some clients check a CRC
-# that they did not ask for.
+# Flag in the first frame of both sides. The server sets it only if the client did: some clients check a CRC
+# that they did not request.
 CRC_SUPPORTED = 0x04
 
 
-# Client subcommands of an upload: the one that is expected is its phase.
+# Client subcommands of an upload; `_expected` is the next one.
 _END, _ACKNOWLEDGE, _START = 1, 2, 3
 
 
@@ -215,7 +215,7 @@ class BlockUpload(Transfer):
         _check_block_size(block_size)
         self._block_size = block_size
         confirmed = self._confirmed + sequence * _SEGMENT
-        if self._with_crc:  # portion by portion: PDOs must not wait for that of a megabyte
+        if self._with_crc:  # portion by portion: PDOs must not wait for the CRC of a megabyte
             self._crc = crc_hqx(self._data[self._confirmed : confirmed], self._crc)
         self._confirmed = confirmed
         if sequence and confirmed >= len(self._data):
@@ -226,7 +226,7 @@ class BlockUpload(Transfer):
 
 
 class BlockDownload(Download):
-    """Client to server. Segments after a gap are asked for again."""
+    """Client to server. Segments after a gap are requested again."""
 
     def __init__(
         self,
@@ -259,7 +259,7 @@ class BlockDownload(Download):
         if sequence == self._sequence + 1:
             self._sequence = sequence
             self._received += data[1:]
-            # the last segment may be unused in part, or whole where there is no data
+            # the last segment may be padding in part, or entirely if there is no data
             check_received(self.target, len(self._received) - _SEGMENT, self._announced)
             self._complete = last
         if last or sequence == DOWNLOAD_BLOCK:

@@ -1,1 +1,1 @@
-"""Stored parameters: what is kept, as which bytes, and how it comes back (1010h, 1011h)."""
+"""Stored parameters (1010h, 1011h): the values saved, their format, the stores, and restoring."""

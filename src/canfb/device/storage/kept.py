@@ -1,5 +1,6 @@
-"""Which entries are stored parameters, the values that are kept of them, and how these come back; those of a
-group as bytes: versioned, checked, independent of the node-ID.
+"""Stored parameters: which entries they are, which values are saved, and how they are restored.
+
+The image of a group, its values as bytes, has a version and a CRC and is independent of the node-ID.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ _RELATIVE = 0x01
 
 
 class ParameterGroup(IntEnum):
-    """What is saved and restored on its own; the number is the sub-index of 1010h and 1011h.
+    """A group is saved and restored as a whole; its number is the sub-index of 1010h and 1011h.
 
-    LSS is saved by LSS alone (CiA 305), the operating time by the device itself.
+    Only LSS saves LSS (CiA 305), only the device the operating time.
     """
 
     COMMUNICATION = 2
@@ -52,7 +53,7 @@ class Identity(NamedTuple):
 
 @dataclass(frozen=True, order=True, slots=True)
 class Record:
-    """One entry, little-endian; `relative`: without the node-ID."""
+    """One entry; `data` is little-endian, `relative`: less the node-ID."""
 
     index: int
     subindex: int
@@ -77,7 +78,7 @@ def encode_image(group: ParameterGroup, identity: Identity, records: Iterable[Re
 def decode_image(data: bytes, group: ParameterGroup, identity: Identity) -> list[Record]:
     """The records of an image, in ascending order.
 
-    ImageError for anything that `encode_image` did not make for this group of this device.
+    ImageError unless `encode_image` made it for this group of this device.
     """
     if len(data) < _HEADER.size + _CRC.size or not data.startswith(_MAGIC):
         raise ImageError("no stored parameters, or truncated")
@@ -116,7 +117,7 @@ def _records(body: bytes) -> list[Record]:
     return records
 
 
-# The indices of each group (CiA 301, 7.5.2.13), without gaps between them.
+# The indices of each group (CiA 301, 7.5.2.13); together without gaps.
 RANGES = {
     ParameterGroup.COMMUNICATION: range(0x1000, 0x2000),
     ParameterGroup.MANUFACTURER: range(0x2000, 0x6000),
@@ -124,7 +125,7 @@ RANGES = {
 }
 PARAMETER_INDICES = range(0x1000, 0xA000)
 
-# Objects that SDO reads and writes, and that are commands.
+# Objects with access rw that are commands, not parameters.
 NO_PARAMETERS = frozenset({0x1003, 0x1010, 0x1011})
 
 _CAN_ID = 0x1FFFFFFF
@@ -152,12 +153,12 @@ class KeptEntries:
             entry.on_download = written
 
     def leave_out(self, index: int, subindex: int = 0) -> None:
-        """This entry is not a parameter. KeyError without it."""
+        """Do not store this entry. KeyError without it."""
         self._entries.pop((index, subindex), None)
         self._dictionary.entry(index, subindex).on_download = None
 
     def keep(self, index: int, subindex: int = 0, *, saved: Callable[[], Any] | None = None) -> None:
-        """Store this entry, or ``saved()`` in its place. KeyError without it."""
+        """Store this entry; the value is ``saved()`` if given. KeyError without it."""
         place = index, subindex
         self._entries[place] = entry = self._dictionary.entry(*place)
         self._added.add(place)
@@ -167,7 +168,7 @@ class KeptEntries:
             entry.on_download = self._written
 
     def save_as(self, index: int, subindex: int, saved: Callable[[], Any]) -> None:
-        """Save ``saved()`` in place of the value of this parameter."""
+        """Store ``saved()`` instead of the present value of this parameter."""
         self._saved_value[index, subindex] = saved
 
     def of(self, group: ParameterGroup) -> list[Entry]:
@@ -201,7 +202,7 @@ def restored_value(entry: Entry, record: Record, node_id: int) -> Any:
 
 
 def has_default_can_id(entry: Entry, value: Any) -> bool:
-    """Whether a COB-ID follows the node-ID: at most its flags were changed."""
+    """Whether a COB-ID follows the node-ID: its CAN-ID is the default."""
     can_follow = entry.follows_node_id and entry.byte_length == 4
     return can_follow and not (int(value) ^ int(entry.default)) & _CAN_ID
 
@@ -212,8 +213,8 @@ Value = tuple[Entry, Any]
 def restore(entries: KeptEntries, group: ParameterGroup, records: list[Record], node_id: int) -> None:
     """Write all records, or none and raise ImageError.
 
-    Each value passes the checks of an SDO write, in the order that CiA 301 requires: first everything is
-    switched off, at last come mappings, periods and COB-IDs. No `on_written` runs: the services read their
+    Each value passes the checks of an SDO write, in the order that CiA 301 requires: everything is switched
+    off first, mappings, periods and COB-IDs come last. No `on_written` runs: the services read their
     parameters after a reset.
     """
     before = [(entry, entry.value) for entry in entries.of(group)]
@@ -246,7 +247,7 @@ def _values(entries: KeptEntries, group: ParameterGroup, records: list[Record], 
 
 
 def _write(values: list[Value]) -> None:
-    """Write turn by turn; where one value waits for another, as a lower limit for the upper one, again."""
+    """Write turn by turn; retry values that depend on another, such as a lower limit on the upper one."""
     for this in TURNS:
         waiting = [value for value in values if turn(value[0]) == this]
         while waiting:

@@ -1,7 +1,6 @@
 """Saving and restoring of parameters: 1010h, 1011h and 1020h (CiA 301, 7.5.2.13, 7.5.2.14, 7.5.2.23).
 
-A :class:`BackgroundStore` writes while the node goes on; the answer to SDO or LSS follows when the values are
-kept.
+A :class:`BackgroundStore` writes while the node runs; SDO or LSS is answered when the values are stored.
 """
 
 from __future__ import annotations
@@ -26,32 +25,32 @@ from canfb.device.storage.kept import (
     restore,
 )
 
-POLL_S = 0.002  # from one question whether it is done to the next
-MOST_WAITING = 4  # changes that a store may have before it; a peer that sends more is refused
+POLL_S = 0.002  # Interval of asking a background store what it has finished, seconds.
+MOST_WAITING = 4  # Changes that may wait in a background store; further commands are refused.
 
 Changes = Mapping[ParameterGroup, bytes | None]
-Done = Callable[[OSError | None], None]  # Called when a change is kept, or with the reason why it is not.
+Done = Callable[[OSError | None], None]  # Called when a change is stored (None) or has failed.
 
 
 class Store(Protocol):
-    """Memory that outlives the power."""
+    """Non-volatile memory."""
 
     def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
-        """What is kept, by group, or an OSError."""
+        """The stored images by group; OSError for an unreadable one."""
 
     def save(self, changes: Changes) -> None:
-        """Keep these groups, None forgets: all or, with an OSError, none."""
+        """Store these groups (None: delete), all or none; OSError if none was stored."""
 
 
 @runtime_checkable
 class BackgroundStore(Store, Protocol):
-    """It writes while the device goes on."""
+    """A store that writes while the device runs."""
 
     def begin(self, changes: Changes) -> None:
-        """Begin to keep `changes`, in order."""
+        """Begin to store `changes`, after earlier ones."""
 
     def ended(self) -> Sequence[OSError | None]:
-        """What has ended since: None for kept, or why not."""
+        """Changes ended since the last call, in order: None if stored, or why not."""
 
 
 SAVE, LOAD, VERIFY = 0x1010, 0x1011, 0x1020
@@ -88,9 +87,9 @@ def keep(images: dict[ParameterGroup, bytes], changes: Mapping[ParameterGroup, b
 class Storage(Timed):
     """The parameters of one device in a `Store`.
 
-    `entries` are the stored parameters. `faults` says by group why stored ones were refused: their defaults
-    are used until the group is saved or its defaults are loaded. Without a store nothing is kept: 1010h reads
-    0 and refuses with 08000020h.
+    `entries` are the stored parameters. `faults` gives by group the reason why its image was refused: the
+    defaults are used until the group is saved or its defaults are loaded. Without a store 1010h reads 0 and
+    refuses with 08000020h.
     """
 
     def __init__(self, core: Core, store: Store | None) -> None:
@@ -127,7 +126,7 @@ class Storage(Timed):
                 self._images[group] = image
 
     def restore(self, *, communication_only: bool = False) -> None:
-        """Stored values over those of the dictionary, each group as a whole or not at all."""
+        """Write the stored values into the dictionary, each group as a whole or not at all."""
         groups = (ParameterGroup.COMMUNICATION,) if communication_only else PARAMETERS
         for group in groups:
             records = self.records(group)
@@ -150,11 +149,11 @@ class Storage(Timed):
             return None
 
     def save_records(self, group: ParameterGroup, records: list[Record], done: Done) -> None:
-        """Keep records of the caller; `done` gets None, or why not."""
+        """Store the records of the caller; `done` gets None, or the error."""
         self._keep({group: encode_image(group, self._identity(), records)}, done)
 
     def configuration_changed(self) -> None:
-        """The next power-on brings another configuration: 1020h becomes 0."""
+        """The configuration of the next power-on has changed: clear 1020h."""
         for entry in self._verify:
             entry.value = 0
 
@@ -179,7 +178,7 @@ class Storage(Timed):
         self._command({group: self._image(group) for group in _groups(subindex)}, lambda: None)
 
     def _load(self, subindex: int) -> None:
-        # What is on its way into the store may be in any group.
+        # A change that is still being written may be of any group.
         there = [
             group
             for group in _groups(subindex)
@@ -209,12 +208,12 @@ class Storage(Timed):
             raise SdoAbort(pending.code)
 
     def _keep(self, changes: Changes, done: Done) -> None:
-        """Keep `changes` and call `done`, now or in a later :meth:`tick`. EBUSY if too many wait."""
+        """Store `changes` and call `done`, now or in a later :meth:`tick`. EBUSY if too many wait."""
         if not changes:
             done(None)
         elif self._background is not None:
             self._begin(self._background, changes, partial(self._written, changes, done))
-        elif self._store is not None:  # without one, 1010h and LSS refuse before
+        elif self._store is not None:  # without one, 1010h and LSS refused already
             try:
                 self._store.save(changes)
             except OSError as error:
