@@ -1,5 +1,5 @@
-"""Reference measurements: recorded tracks in, a correction table and how good it is out.
+"""Reference measurements: from recorded tracks to a correction table and its quality.
 
-recording -> ellipse -> solver (joint) -> methods -> result: drift; deviation: proof;
-over_speeds: several of them -> path_fit: delays and corners of the analog path
+recording -> ellipse -> solver (joint) -> methods -> result (with drift); deviation: verification;
+over_speeds: measurements at several speeds -> path_fit: delays and corners of the analog path
 """

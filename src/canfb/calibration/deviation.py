@@ -1,8 +1,8 @@
-"""How far positions are from smooth motion, with a table not made of them.
+"""Deviation of positions from smooth motion, with a table made from other samples.
 
-A cubic is fitted to the corrected positions in each block of samples: noise is left, and what the table does
-not correct. Blocks that meet few phases are left out (:meth:`.Blocks.informative`); shorter ones are tried,
-too. N samples with n coefficients: the rms is that of the deviations times sqrt(N / (N - n)).
+A cubic is fitted to the corrected positions in each block of samples; the deviation is noise plus errors
+that the table leaves. Blocks with few phases are left out (:meth:`.Blocks.informative`); shorter blocks are
+tried, too. For N samples and n coefficients the rms of the deviations is multiplied by sqrt(N / (N - n)).
 """
 
 from __future__ import annotations
@@ -28,29 +28,30 @@ from canfb.errors import CalibrationError
 from canfb.signal.correction import Correction
 from canfb.signal.phase import BoolArray, FloatArray, raw_phases
 
-# A few samples may be faulty; they do not belong to what the table does.
+# Samples beyond FAULTY_SIGMAS are left out as faulty, if they are at most FAULTY_PART of all samples.
 FAULTY_SIGMAS = 8.0
 FAULTY_PART = 0.01
-# Nor does a missed SYNC, which moves all samples of its block. A bad table shows in every block.
+# So are blocks whose rms is FAULTY_BLOCK times the median: a missed SYNC shifts all samples of its block,
+# whereas a bad table shows in every block.
 FAULTY_BLOCK = 4.0
 FAULTY_BLOCKS_PART = 0.1
 MIN_BLOCKS = 8
-# A bin of the phase with this many times the mean is a spike, if chance does not make it as well.
+# A phase bin is a spike if its count exceeds SPIKE times the mean and SPIKE_SIGMAS of a random count.
 SPIKE = 2.0
 SPIKE_SIGMAS = 5.0
 MIN_COVERAGE = 0.9
 LEAST_BLOCK, LONGEST_BLOCK = 12, 4096
-CYCLES_OF_BLOCK = 2.0  # a cubic through less than that takes errors of the encoder for motion
+CYCLES_OF_BLOCK = 2.0  # fewest cycles in a block: over less, a cubic follows the errors of the encoder
 
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
     """Deviation of samples from smooth motion, cycles; arrays with one entry for each sample used.
 
-    rms, peak      with the table, noise of the samples included; before_rms, before_peak: with the set of
-                   before
-    phase, error   with the table, phase 0..1; before: the error with the set of before, about its mean
-    faulty         samples left out as far from all others
+    rms, peak      with the table, noise of the samples included; before_rms, before_peak: with the
+                   previous correction
+    phase, error   with the table, phase 0..1; before: error with the previous correction, about its mean
+    faulty         number of samples left out as faulty
     """
 
     rms: float
@@ -64,7 +65,7 @@ class Deviation:
 
     @property
     def spike(self) -> tuple[float, float] | None:
-        """The fullest bin, if it stands out: how many times the mean it has, and its phase, cycles."""
+        """The fullest bin, if it is a spike: its count / mean count, and its phase, cycles."""
         count = samples_in_bins(self.phase)
         mean, place = float(count.mean()), int(count.argmax())
         if count[place] <= max(SPIKE * mean, mean + SPIKE_SIGMAS * math.sqrt(mean)):
@@ -77,8 +78,8 @@ class Deviation:
 
 
 def best_deviation(record: Recording, used: Correction, before: Correction, block_samples: int) -> Deviation:
-    """:func:`deviation_of_phases` of the samples with these sets, also with shorter blocks: the motion may be
-    less smooth than it was before."""
+    """:func:`deviation_of_phases` of the samples with these corrections, for the best of three block
+    lengths: the motion may be less smooth than during calibration."""
     return best_of_phases(
         record,
         phases_with(used, record.sine, record.cosine),
@@ -90,7 +91,7 @@ def best_deviation(record: Recording, used: Correction, before: Correction, bloc
 def best_of_phases(
     record: Recording, phase: FloatArray, phase_before: FloatArray, block_samples: int
 ) -> Deviation:
-    """:func:`best_deviation` of phases, as :func:`deviation_of_phases` has them."""
+    """:func:`best_deviation` of phases; arguments as for :func:`deviation_of_phases`."""
     lengths = sorted(
         {block_samples, max(LEAST_BLOCK, block_samples // 2), max(LEAST_BLOCK, block_samples // 4)}
     )
@@ -104,8 +105,8 @@ def deviation_of_phases(
 ) -> Deviation:
     """Deviation of the samples of ``record`` from a cubic in each block of ``block_samples``.
 
-    ``phase`` decides the positions, cycles, NaN: none; ``phase_before`` is compared on the same samples.
-    CalibrationError where too few blocks say anything.
+    ``phase``, cycles, gives the positions (NaN: no sample); ``phase_before`` is compared on the same
+    samples. CalibrationError if too few blocks are informative.
     """
     check_clipped(record, np.where(np.isnan(phase), 0.0, phase))
     position = record.positions(phase)

@@ -6,8 +6,8 @@ With s = s0 + A sin x and c = c0 + B cos(x - d) the samples lie on
                                                  [ A B sin d  B^2       ]
 
 The conic a s^2 + b s c + e c^2 + f s + g c = 1 is found by least squares; sin d = Q12 / sqrt(Q11 Q22), and
-the gains bring both amplitudes to their geometric mean. No square of a grid keeps more samples than an even
-motion would leave there, and samples beyond five standard deviations are left out.
+the gains scale both amplitudes to their geometric mean. Squares of a grid with more samples than uniform
+motion gives are thinned, and samples beyond five standard deviations are left out.
 """
 
 from __future__ import annotations
@@ -22,18 +22,19 @@ from canfb.signal.conditioning import HARMONIC_ORDERS, LARGEST_HARMONIC, Conditi
 from canfb.signal.phase import ArrayLike, FloatArray, IntArray
 
 ROUNDS = 8
-# A sample this far off the ellipse is a fault; harmonics of a poor encoder reach 0.15.
+# Distances from the ellipse, relative to the amplitude: a sample is kept within 5 standard deviations or
+# MIN_SCATTER, whichever is more; harmonics of a poor encoder reach 0.15.
 MIN_SCATTER = 0.02
 REJECT_SIGMAS = 5.0
 LARGEST_SCATTER = 0.25
-# The object dictionary holds the gains as REAL32; more of a difference than this is a dead track.
+# Largest ratio of the amplitudes of the tracks; beyond it one track is dead.
 LARGEST_RATIO = 20.0
 STANDSTILL_COUNTS = 8.0
-# A whole ellipse passes through some 90 squares of the grid, a motion that is locked at an
-# eighth of a cycle per sample meets 8 places, on edges up to 24.
+# An ellipse passes through about 90 squares of the grid. Motion locked at 1/8 cycle per sample gives 8
+# points, which fall into at most 24 squares if all lie on edges.
 SQUARES_OF_ELLIPSE = 90
 MIN_PLACES = 25
-# Percent of the samples to leave out at either end of the tracks for the start: few, or many faults.
+# The fit starts from the range of each track without this percentage at either end: few, or many faults.
 MARGINS = (1.0, 8.0)
 NEAR = 0.15
 
@@ -42,8 +43,8 @@ def fit_ellipse(sine: ArrayLike, cosine: ArrayLike, valid: ArrayLike | None = No
     """Conditioning that turns the ellipse of the samples into a circle about the origin, in REAL32
     (2002:01..05).
 
-    ADC counts of one shape, NaN where there is no sample; ``valid`` False leaves samples out. ValueError for
-    shapes that differ, CalibrationError ("ellipse") for a dead track, one point, a short arc, or noise.
+    ADC counts of one shape, NaN: no sample; ``valid`` False leaves a sample out. ValueError for
+    different shapes, CalibrationError ("ellipse") for a dead track, one point, a short arc, or noise.
     """
     s, c = np.ravel(np.asarray(sine, np.float64)), np.ravel(np.asarray(cosine, np.float64))
     if s.shape != c.shape:
@@ -100,7 +101,7 @@ def _thinned(s: FloatArray, c: FloatArray) -> IntArray:
         )
     order = np.argsort(place, kind="stable")
     first = np.cumsum(counts) - counts
-    # Every n-th sample of an overfull place, so that all of the recording has its part.
+    # Keep every n-th sample of an overfull square, so that the samples kept span the whole recording.
     every = 1 + counts // max(8, len(s) // SQUARES_OF_ELLIPSE * 2)
     rank = np.arange(len(s)) - first[place[order]]
     return np.sort(order[rank % every[place[order]] == 0])
@@ -117,7 +118,7 @@ class _Box:
     @classmethod
     def of(cls, s: FloatArray, c: FloatArray, margin: float) -> _Box:
         ends = np.array([np.percentile(track, [margin, 100.0 - margin]) for track in (s, c)])
-        # A sine is above cos(pi p) for the part p of its cycle.
+        # A sine of amplitude A exceeds A cos(pi p) during the fraction p of its cycle.
         return cls(ends.mean(axis=1), (ends[:, 1] - ends[:, 0]) / 2.0 / np.cos(np.pi * margin / 100.0))
 
     def scaled(self, s: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -185,14 +186,14 @@ def as_real32(conditioning: Conditioning) -> Conditioning:
 
 
 def without_harmonics(used: Conditioning) -> Conditioning:
-    """``used`` with none: its table is that of one speed."""
+    """``used`` without harmonics, for a table of one speed."""
     return used.with_harmonics([0j] * len(HARMONIC_ORDERS))
 
 
 def with_track_harmonics(used: Conditioning, tracks: FloatArray) -> Conditioning:
     """``used`` with the harmonics of these mean tracks, ADC counts, shape (2, n), sine first, over one cycle.
 
-    Of cosine + i sine behind the conditioning, relative to the fundamental and its phase.
+    They are the harmonics of cosine + i sine after conditioning, relative to the fundamental and its phase.
     """
     s, c = used.apply(*tracks)
     spectrum = np.fft.fft(c + 1j * s) / np.size(s)

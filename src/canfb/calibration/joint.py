@@ -6,14 +6,15 @@ The coefficients minimise, over the samples k, with the unit tangent u and norma
 
     [n . r(k)]^2 / across^2 + [u . r(k)]^2 / along^2,    r(k) = (s(k) - S(x), c(k) - C(x)),  x = m(t(k))
 
-as the converter's noise is in both, what the polynomials miss in the second. A step of Gauss-Newton solves
+since both residuals contain the noise of the converter, the second also the motion that the polynomials do
+not follow. A step of Gauss-Newton solves
 
     [ N   B' ] [dw]   [a]
     [ B   D  ] [dm] = [b]      D: one small matrix for each block
 
-with D eliminated: (N - B' D^-1 B) dw = a - B' D^-1 b, dm = D^-1 (b - B dw). The inverse of what remains is
-the covariance of the series with the motion unknown. Phase 0 is not determined: the slopes of the series are
-held.
+with D eliminated: (N - B' D^-1 B) dw = a - B' D^-1 b, dm = D^-1 (b - B dw). The inverse of the reduced matrix
+is the covariance of the series with the motion unknown. The data does not determine phase 0: it is held, by
+excluding changes of the series along its slope.
 """
 
 from __future__ import annotations
@@ -31,15 +32,15 @@ from canfb.signal.correction import MAX_DEVIATION_CYCLES, CorrectionTable
 from canfb.signal.phase import BoolArray, ComplexArray, FloatArray, raw_phases
 
 CHUNK_SAMPLES = 8192  # keeps the temporaries in the processor's cache
-# Of the deviation of single samples: a step so small changes the sum of squares by its square, 1e-4 of it.
+# The fit ends with a step below this part of the rms deviation: it changes the sum of squares by < 1e-4.
 CONVERGED = 1e-2
-# Over 0.1 cycle the tangent of a sine is 7 % off its chord; beyond a quarter it points the wrong way.
+# Over 0.1 cycle the tangent of a sine differs by 7 % from its chord; beyond 0.25 its sign is wrong.
 LARGEST_STEP_CYCLES = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Rms in counts: across the curve, and along it (where the motion's is added)."""
+    """Rms noise in counts across the curve, and along it, where motion that is not fitted adds to it."""
 
     across: float
     along: float
@@ -49,9 +50,9 @@ class Noise:
 class JointFit:
     """Result of :func:`fit_jointly`.
 
-    blocks            what was fitted
+    blocks            samples fitted
     waveform, motion  both tracks; coefficients of the polynomials, (blocks, terms), cycles
-    along, across     residuals in counts, (blocks, length); noise: estimated from those used
+    along, across     residuals in counts, (blocks, length); noise: estimated from samples used
     speed             length of the curve's tangent, counts per cycle, (blocks, length)
     information       inverse of :attr:`covariance`, with phase 0 held
     """
@@ -67,7 +68,7 @@ class JointFit:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Of the coefficients (sine, then cosine), counts^2; of most fits nobody asks for it."""
+        """Covariance of the coefficients (sine, then cosine), counts^2; computed on demand."""
         return inverse(self.information)
 
     @property
@@ -100,13 +101,13 @@ def fit_jointly(
     rounds: int = 8,
     noise: Noise | None = None,
 ) -> JointFit:
-    """Least squares from these first values; ``noise`` weighs the two kinds of equation (None: equal)."""
+    """Least squares with these initial values; ``noise`` weights the two kinds of equation (None: equal)."""
     weigh = noise or Noise(1.0, 1.0)
     for _ in range(rounds):
         system = _System(blocks, waveform, motion, weigh)
         waveform, motion, step = system.step()
         if step < CONVERGED * root_mean((system.along / system.speed)[blocks.used]):
-            # The residuals before a step so small serve as those after it.
+            # The step is so small that the residuals before it are also those after it.
             return system.result(waveform, motion)
     return _System(blocks, waveform, motion, weigh).result(waveform, motion)
 
@@ -114,17 +115,16 @@ def fit_jointly(
 def bound_covariance(fit: JointFit) -> FloatArray:
     """Cramer-Rao bound: least covariance that any estimate can have if noise were white.
 
-    For its noise on each track, its samples, motion and orders.
+    Calculated for the noise on each track, samples, motion and orders of ``fit``.
     """
     system = _System(fit.blocks, fit.waveform, fit.motion, Noise(fit.noise_counts, fit.noise_counts))
     return inverse(system.held(system.reduced))
 
 
 def information_loss(blocks: Blocks, waveform: Waveform, motion: FloatArray) -> float:
-    """How many times the tracks' uncertainty grows because the motion has to be found as well.
+    """Uncertainty of the tracks with unknown motion / with known motion.
 
-    A little over 1 where every block meets all phases, large where the motion could explain
-    what the tracks do.
+    Little above 1 if every block contains all phases, large if motion could explain the shape of the tracks.
     """
     system = _System(blocks, waveform, motion, Noise(1.0, 1.0))
     sensitivity = table_sensitivity(waveform, IDENTITY)
@@ -149,7 +149,7 @@ class _System:
         rows = max(1, CHUNK_SAMPLES // shape[1])
         for start in range(0, len(blocks), rows):
             self._add(slice(start, start + rows))
-        # Blocks eliminated: what remains says how well the tracks themselves are known.
+        # Eliminate the motion: `reduced` is the information on the tracks alone.
         solved = solve_blocks(self.inner, np.concatenate([self.cross, self.inner_right[..., None]], axis=2))
         self.solved_cross, self.solved_right = solved[..., :-1], solved[..., -1]
         flat = self.cross.reshape(-1, size)
@@ -168,7 +168,7 @@ class _System:
         along, across = off_s * turn_s + off_c * turn_c, off_c * turn_s - off_s * turn_c
         self.along[part], self.across[part], self.speed[part] = along, across, speed
         weight_along, weight_across = self._weights(speed, used)
-        # The row along the curve is (turn_s, turn_c) times the columns, the one across (-turn_c, turn_s).
+        # Factors of the columns: (turn_s, turn_c) along the curve, (-turn_c, turn_s) across it.
         self._add_tracks(
             columns.reshape(-1, columns.shape[-1]),
             (weight_along * turn_s**2 + weight_across * turn_c**2).ravel(),
@@ -190,7 +190,8 @@ class _System:
         self.inner_right[part] = np.matmul(turned, along[..., None])[..., 0]
 
     def _add_tracks(self, columns: FloatArray, ss: FloatArray, sc: FloatArray, cc: FloatArray) -> None:
-        # A' A takes half the time of A' B; the third weight is a sum of squares, too: never below 0.
+        # A' A takes half the time of A' B, which follows from three of them. No weight is negative: the third
+        # is weight_along (turn_s + turn_c)^2 + weight_across (turn_s - turn_c)^2.
         s, c, both = (_gram(columns, weight) for weight in (ss, cc, ss + cc + 2.0 * sc))
         mixed = (both - s - c) / 2.0
         self.normal += np.block([[s, mixed], [mixed, c]])
@@ -202,7 +203,7 @@ class _System:
         return used / (min(along, across) + motion), used / across
 
     def held(self, matrix: FloatArray) -> FloatArray:
-        # The data does not determine phase 0: a shift of it moves the coefficients by their slope.
+        # The data does not determine phase 0, which shifts the coefficients along their slope: hold it.
         origin = self.slope.coefficients.ravel() / np.linalg.norm(self.slope.coefficients)
         size = float(np.trace(matrix)) / len(matrix)
         return np.asarray(matrix + size * np.outer(origin, origin), np.float64)
@@ -212,7 +213,7 @@ class _System:
         motion = self.solved_right - self.solved_cross @ change
         moved = np.abs(motion).sum(axis=1)
         step = float(np.quantile(moved, 0.9)) if len(moved) else 0.0
-        # A block that the start left far off must not throw the others about.
+        # Limit the step of a block with bad initial values, which must not disturb the others.
         motion *= np.minimum(1.0, LARGEST_STEP_CYCLES / np.maximum(moved, 1e-30))[:, None]
         old = self.waveform.coefficients
         return Waveform(self.waveform.orders, old + change.reshape(old.shape)), self.motion + motion, step
@@ -222,7 +223,7 @@ class _System:
         across = np.sqrt(np.sum(self.across[use] ** 2) / max(1.0, blocks.samples - size / 2.0))
         along = np.sqrt(np.sum(self.along[use] ** 2) / max(1.0, blocks.freedom - size / 2.0))
         noise = Noise(max(float(across), 1e-9), max(float(along), 1e-9))
-        # Weights were relative: scale them to the noise found.
+        # The weights assumed `self.noise`: scale the information to the noise found.
         scale = max((noise.along / self.noise.along) ** 2, (noise.across / self.noise.across) ** 2)
         return JointFit(
             blocks,
@@ -246,7 +247,7 @@ def _gram(columns: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 GRID = 16384
-# Room for the rounding of the entries to REAL32.
+# Margin for rounding the entries to REAL32.
 LARGEST_DEVIATION = MAX_DEVIATION_CYCLES - 1e-3
 
 
@@ -273,14 +274,14 @@ class Waveform:
     """Mean tracks in ADC counts over the phase.
 
     orders         harmonics kept, ascending, 1 first
-    coefficients   mean, then cosine and sine part of each order; sine track above that of the cosine
+    coefficients   mean, then cosine and sine part of each order; rows: sine track, cosine track
     """
 
     orders: tuple[int, ...]
     coefficients: FloatArray
 
     def over(self, columns: FloatArray) -> FloatArray:
-        """Both tracks where :func:`basis` has these columns."""
+        """Both tracks, given the columns of :func:`basis`."""
         return np.array([columns @ track for track in self.coefficients])
 
     def tracks(self, position: FloatArray) -> FloatArray:
@@ -299,12 +300,12 @@ class Waveform:
 
 
 def _places(orders: tuple[int, ...]) -> list[int]:
-    """Where the coefficients of these orders are among those of all, the mean first."""
+    """Indices of the coefficients of these orders in a series of all orders, the mean first."""
     return [0, *(place for order in orders for place in (2 * order - 1, 2 * order))]
 
 
 def series_of(spectrum: ComplexArray, orders: tuple[int, ...]) -> Waveform:
-    """From the Fourier coefficients of order 0 and of these orders, shape (2, 1 + orders), sine first."""
+    """Waveform of the Fourier coefficients of order 0 and these orders, shape (2, 1 + orders), sine first."""
     parts = np.empty((2, 1 + 2 * len(orders)))
     parts[:, 0] = spectrum[:, 0].real
     parts[:, 1::2], parts[:, 2::2] = 2.0 * spectrum[:, 1:].real, -2.0 * spectrum[:, 1:].imag
@@ -332,7 +333,7 @@ def raw_phase_curve(waveform: Waveform, conditioning: Conditioning) -> FloatArra
 
 def phase_at_raw(raw_curve: FloatArray, raw: FloatArray) -> FloatArray:
     """Phase on a curve of :func:`raw_phase_curve` at raw phases 0..1, continuous."""
-    # The difference repeats with each cycle.
+    # The difference phase - raw is periodic.
     off = grid_phases(len(raw_curve) - 1) + np.floor(raw_curve[0]) - raw_curve
     return np.asarray(raw + np.interp(raw, raw_curve[:-1], off[:-1], period=1.0), np.float64)
 
@@ -349,8 +350,8 @@ def table_of(raw_curve: FloatArray, entries: int) -> CorrectionTable:
 def table_from_phases(phase: FloatArray) -> CorrectionTable:
     """Table with these entries, phase 0 at raw phase 0.
 
-    Only if an entry would then be further than 0.25 cycle from its raw phase are all of them
-    shifted, by as little as it takes. CalibrationError ("monotonic") if that cannot be.
+    If an entry is further than 0.25 cycle from its raw phase, all are shifted, by the least amount that
+    helps. CalibrationError ("monotonic") if none does.
     """
     deviation = phase - np.arange(len(phase)) / len(phase)
     low, high = float(deviation.min()), float(deviation.max())
@@ -370,8 +371,8 @@ def table_from_phases(phase: FloatArray) -> CorrectionTable:
 def table_sensitivity(waveform: Waveform, conditioning: Conditioning, points: int = 256) -> FloatArray:
     """Change of the table per change of each coefficient, shape (points, coefficients), mean removed.
 
-    At a given raw phase only the part of a track error across the ray from the origin counts:
-    it moves the place where the curve crosses that ray.
+    At a given raw phase only the component of a track error across the ray from the origin counts:
+    it moves the point where the curve crosses that ray.
     """
     columns = basis(np.arange(points) / points, waveform.orders)
     s, c = conditioning.apply(*waveform.over(columns))

@@ -3,10 +3,10 @@
     raw(k) = p(t_k) + e(p(t_k)) + noise   (modulo 1);  p: position in cycles, e: error within a cycle
 
 **Any motion**: a polynomial of time follows p in a block of samples; e repeats with every cycle. One fit
-(:mod:`.joint`) separates the two at any speed. Deviations of samples are those of odd blocks with the table
-of the even ones, and the other way round. The error of the table is the largest of the scatter of tables of
-independent blocks, the covariance of the fit, the mean deviation over the phase beyond its noise, what the
-samples cannot rule out, and the change in time.
+(:mod:`.joint`) separates the two at any speed. Deviations of odd blocks are calculated with the table of the
+even blocks, and vice versa. The error of the table is the largest of: scatter of the tables of
+independent blocks, covariance of the fit, mean deviation over the phase beyond its noise, orders that
+the samples cannot rule out, and change in time.
 
 **Slow, many samples in each cycle**: a cubic through four positive zero crossings of the sine gives the phase
 of each sample between the inner two; a crossing comes from the four samples around it. The mean tracks over
@@ -102,11 +102,11 @@ def calibrate_from_motion(
     return result
 
 
-# The scatter of this many independent tables gives their error to some 15 %, that of two to some 30 %.
+# The scatter of this many independent tables gives their error within about 15 %, of two within 30 %.
 PARTS = 8
 SCATTER, SCATTER_OF_TWO = 0.15, 0.3
 MIN_BLOCKS_OF_PART = 24
-HIGHEST_HARMONIC = 64  # of the error
+HIGHEST_HARMONIC = 64  # highest order of the error that is reported
 
 
 def finish(record: Recording, solution: Solution, conditioning: Conditioning, entries: int) -> Calibration:
@@ -162,7 +162,7 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
 
 
 def _systematic(curve: ErrorCurve, position: FloatArray, noise: float) -> float:
-    """Rms of the mean deviation over the phase, less what noise leaves of it: tracks that do not fit."""
+    """Rms of the mean deviation over the phase, less its noise: systematic error of the tracks."""
     count = samples_in_bins(position)
     seen = count > 0
     excess = float(np.mean(curve.after[seen] ** 2 - noise**2 / count[seen]))
@@ -170,22 +170,22 @@ def _systematic(curve: ErrorCurve, position: FloatArray, noise: float) -> float:
 
 
 def independent_parts(count: int) -> list[IntArray]:
-    """This many blocks, or cycles, dealt to parts."""
+    """Indices of ``count`` blocks or cycles, dealt in turn to the parts."""
     parts = PARTS if count >= PARTS * MIN_BLOCKS_OF_PART else 2
     return [np.arange(first, count, parts) for first in range(parts)]
 
 
 def mean_tracks_of(waveform: Waveform, curve: FloatArray) -> FloatArray:
-    """At phases n/1024, phase 0 where ``curve``, that of :func:`.raw_phase_curve`, is 0."""
+    """Tracks at phases n/1024, phase 0 where ``curve`` (:func:`.raw_phase_curve`) is 0."""
     return np.array(waveform.tracks(grid_phases(TRACK_POINTS)[:-1] + origin_of(curve)))
 
 
 def _change(fit: JointFit, sensitivity: FloatArray, doubt: float) -> Drift:
-    """Of the tracks in the course of the measurement; ``doubt``: noise over what the covariance expects."""
+    """Change of the tracks during the measurement; ``doubt``: actual noise / noise by the covariance."""
     largest = Drift()
-    moving = np.flatnonzero(fit.informative)  # at standstill nobody sees a table
+    moving = np.flatnonzero(fit.informative)  # standstill gives no information on the table
     for count in (THIRDS, FINE):
-        if len(moving) < 4 * count:  # blocks: the covariance of a fit to four says how uncertain it is
+        if len(moving) < 4 * count:  # the covariance of a part is credible from four blocks on
             break
         parts = [_fit_of_part(fit, rows) for rows in np.array_split(moving, count)]
         tables = np.array([sensitivity @ p.waveform.coefficients.ravel() for p in parts])
@@ -199,7 +199,7 @@ def _fit_of_part(fit: JointFit, rows: IntArray) -> JointFit:
 
 
 def measured_error(tables: list[FloatArray]) -> float:
-    """Rms error of the mean of these independent tables, from how they scatter; mean of each taken off."""
+    """Rms error of the mean of these independent tables, from their scatter without the mean of each."""
     centred = np.array([table - table.mean() for table in tables])
     return float(np.sqrt(np.mean(np.var(centred, axis=0, ddof=1)) / len(tables)))
 
@@ -226,7 +226,7 @@ def _from_smooth(blocks: Blocks, phase: FloatArray, position: FloatArray) -> Flo
 def harmonics_of(
     tracks: FloatArray, conditioning: Conditioning, expected: float
 ) -> tuple[ErrorHarmonic, ...]:
-    """Of the error of the conditioned arc tangent, beyond three times the ``expected`` one, cycles."""
+    """Harmonics of the error of the conditioned arc tangent above 3 x ``expected``, cycles."""
     angle = np.unwrap(angle_cycles(conditioning, *tracks), period=1.0)
     spectrum = np.fft.rfft(angle - grid_phases(TRACK_POINTS)[:-1]) / TRACK_POINTS
     found = [
@@ -239,8 +239,8 @@ def harmonics_of(
 
 MIN_SAMPLES_PER_CYCLE = 40
 MIN_CYCLES = 16
-MAX_CYCLES = 4096  # more would only cost memory
-# Raw phase moves up to three times faster than the phase with 40 % offset.
+MAX_CYCLES = 4096  # more cycles only cost memory
+# Largest step of raw phase between two samples; with 40 % offset it is three times that of the phase.
 LARGEST_STEP_CYCLES = 0.125
 REJECT_CYCLE = 4.0
 ORDERS = tuple(range(1, ORDER_STEPS[-1] + 1))
@@ -260,8 +260,8 @@ def calibrate_from_zero_crossings(
     """Correction table from a slow recording: at least 40 samples in each cycle used (section 2).
 
     Arguments and errors are those of :func:`calibrate_from_motion`.
-    Speed and direction may vary; only cycles in the direction with the longer distance are
-    used, and only whole ones without an invalid sample.
+    Speed and direction may vary; only whole cycles without an invalid sample are used, in the
+    direction of the longer distance.
     """
     report = progress or no_progress
     record, _, _, chosen = prepared(sine, cosine, conditioning, time_s, valid, adc_bits, entries)
@@ -269,7 +269,7 @@ def calibrate_from_zero_crossings(
     s, c = chosen.apply(record.sine, record.cosine)
     usable = record.valid & ((s != 0.0) | (c != 0.0))
     raw = np.where(usable, raw_phases(s, c), 0.0)
-    # A sample that is not usable keeps the phase before it, so the count goes on.
+    # An unusable sample gets the phase before it, so that the cycle count continues.
     last = np.maximum.accumulate(np.where(usable, np.arange(len(raw)), 0))
     angle = np.unwrap(raw[last], period=1.0)
     columns = np.array([record.time, s, angle, usable, record.sine, record.cosine, raw])
@@ -282,8 +282,9 @@ def calibrate_from_zero_crossings(
     good = cycles.take(agree)
     measured = measured_error([good.take(rows).table().entries for rows in independent_parts(len(good))])
     parts = [cycles.take(rows) for rows in np.array_split(np.arange(len(cycles)), THIRDS)]
-    with contextlib.suppress(CalibrationError):  # too few
-        # Real tracks have the same shape there; inverted or exchanged, the motion seems to turn.
+    with contextlib.suppress(CalibrationError):  # too few cycles in the other direction
+        # Real tracks have the same shape in both directions. Tracks that were inverted or exchanged
+        # during the measurement seem to reverse, and differ.
         parts.append(_Cycles.of(chosen, back))
     parts = [part.take(part.agreeing()) for part in parts]
     noise = measured * np.sqrt([len(good) / len(part) for part in parts])
@@ -299,7 +300,7 @@ def calibrate_from_zero_crossings(
 
 @dataclass(frozen=True, eq=False)
 class _Cycles:
-    """The samples of whole cycles: phase by the crossings, number of their cycle, raw phase, counts."""
+    """The samples of whole cycles: phase by the crossings, cycle number, raw phase, counts."""
 
     conditioning: Conditioning
     phase: FloatArray
@@ -361,7 +362,7 @@ def _whole(
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Cycles between two positive zero crossings, with one more whole cycle on either side.
 
-    First and last sample inside, and the times of four crossings, shape (cycles, 4).
+    Their first and last samples, and the times of four crossings, shape (cycles, 4).
     """
     whole = np.floor(angle)
     # The crossing lies between samples at and at + 1; four samples around it are needed.
@@ -396,7 +397,7 @@ def _whole(
     return at[rows + 1] + 1, at[rows + 2], crossing[rows[:, None] + np.arange(4)]
 
 
-@np.errstate(divide="ignore", invalid="ignore")  # events that are not a clean crossing
+@np.errstate(divide="ignore", invalid="ignore")  # crossings that are not clean; they are not used
 def _interpolate(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
     """The polynomial through the points of each row, by Neville's algorithm."""
     for step in range(1, x.shape[-1]):

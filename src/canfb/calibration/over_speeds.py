@@ -1,12 +1,12 @@
 """A reference measurement at several speeds: encoder and analog path together.
 
 From the coefficients S_k, C_k of order k at speed f (:mod:`.methods`) and the path (:mod:`.path_fit`) the
-tracks of standstill are
+coefficients at standstill are
 
     S_k / H(k f; fs),    C_k / (H(k f; fc) exp(2 pi i k f cosine_delay)),    H(f; fc) = 1 / (1 + i f / fc)
 
-at the lowest speed. Where a speed varies too much, samples are moved to its mean along the path and fitted
-again.
+from the lowest speed. If a speed varies too much, the samples are converted to its mean with the path, and
+fitted again.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ from canfb.signal.front_end import Corners
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import TICK_S
 
-SMOOTH_SAMPLES = 33  # a speed between two samples is mostly noise
-MOST_VARIATION = 0.3  # of a speed, from its lowest to its highest: more is no one speed
+SMOOTH_SAMPLES = 33  # the speed is averaged over these: between two samples it is mostly noise
+MOST_VARIATION = 0.3  # largest range of a speed within one measurement, relative to its mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class TracksAtSpeed:
 
     sine, cosine   ADC counts, shape (n,), NaN where a sample is missing
     rate_hz        samples per second; time_s: sample times, seconds, rising; None: equidistant
-    hertz          mean speed, cycles per second, with sign, right to half a cycle per sample
+    hertz          mean speed, cycles per second, with sign, error below half a cycle per sample
     """
 
     sine: FloatArray
@@ -70,11 +70,11 @@ class TracksAtSpeed:
 
 @dataclass(frozen=True, eq=False)
 class SpeedCalibration:
-    """What several speeds gave.
+    """Result of :func:`calibrate_over_speeds`.
 
-    calibration   at standstill: table, conditioning with 2002:06 and the harmonics; its quality is that
-                  of the lowest speed
-    path          what lies between encoder and counts
+    calibration   at standstill: table, conditioning with 2002:06 and the harmonics; quality of the
+                  lowest speed
+    path          analog path between encoder and counts
     """
 
     calibration: Calibration
@@ -94,8 +94,8 @@ def calibrate_over_speeds(
 ) -> SpeedCalibration:
     """Conditioning, table, 2002:06, corners and harmonics from the same encoder at several speeds.
 
-    ``adc_bits`` and ``entries`` as for :func:`.from_motion.calibrate_from_motion`. CalibrationError for
-    measurements that are refused, with the speed; ValueError for wrong arguments.
+    ``adc_bits`` and ``entries`` as for :func:`.methods.calibrate_from_motion`. CalibrationError, with the
+    speed, for a measurement that is refused; ValueError for wrong arguments.
     """
     hertz = np.array([one.hertz for one in measured])
     if not len(measured) or not np.isfinite(hertz).all():
@@ -116,9 +116,9 @@ def calibrate_over_speeds(
 
 
 def _judged(calibration: Calibration, each: Sequence[Calibration]) -> Calibration:
-    """The calibration with what those of the speeds, all as at standstill, differ from it by.
+    """``calibration``, its uncertainty and change increased by its largest difference to ``each``.
 
-    CalibrationError where the tracks have changed by more than a measurement may.
+    All are at standstill. CalibrationError if they differ by more than MOST_CHANGE_CYCLES.
     """
     found = Drift()
     for one in each:
@@ -143,9 +143,9 @@ def measured_at_standstill(
     adc_bits: int | None = None,
     entries: int = 1024,
 ) -> Calibration:
-    """A measurement at one speed behind a known path, moved to standstill.
+    """A measurement at one speed through a known path, converted to standstill.
 
-    CalibrationError where it is refused.
+    CalibrationError if it is refused.
     """
     path = replace(NO_PATH, cosine_delay_s=cosine_delay_s, corners=corners)
     found = _AtSpeed.of(measured, adc_bits, entries).steadied(path, adc_bits, entries)
@@ -153,7 +153,7 @@ def measured_at_standstill(
 
 
 def at_standstill(found: Calibration, hertz: float, path: PathFit, entries: int) -> Calibration:
-    """``found`` at this speed, moved to standstill: the path taken out of the mean tracks."""
+    """``found`` at this speed, converted to standstill: mean tracks without the path."""
     waveform = standing_waveform(found.tracks, found.track_orders, hertz, path.cosine_delay_s, path.corners)
     conditioning = fit_ellipse(*waveform.tracks(grid_phases(TRACK_POINTS)[:-1]))
     curve = raw_phase_curve(waveform, conditioning)
@@ -205,14 +205,14 @@ class _AtSpeed:
     def _varies(self, path: PathFit) -> bool:
         speed = self.speed[self.record.valid]
         gains = [np.abs(response(speed, hz)) for hz in (path.corners.corner_hz, path.corners.of_cosine_hz)]
-        # A change within one speed counts where it is more than two measurements differ by anyway.
+        # A variation matters if its effect exceeds the repeatability of two measurements.
         return bool(
             np.std(path.turned_rad(speed)) > ANGLE_REPEATS_RAD
             or max(np.std(gain) / np.mean(gain) for gain in gains) > RATIO_REPEATS
         )
 
     def steadied(self, path: PathFit, adc_bits: int | None, entries: int) -> _AtSpeed:
-        """Where the speed varies too much: the samples moved to its mean, and fitted again."""
+        """If the speed varies too much: the samples converted to its mean, and fitted again."""
         if not self._varies(path):
             return self
         at, record = self.hertz, self.record
@@ -259,15 +259,15 @@ def _smooth(speed: FloatArray) -> FloatArray:
 
 
 FITS = 3
-LARGEST_RAD = 1.0  # of a phase error
-LONGEST_STEP = 2.0  # intervals between two samples that show a speed
+LARGEST_RAD = 1.0  # limit of the phase error of the ellipse
+LONGEST_STEP = 2.0  # longest time between two samples that gives a speed, sampling intervals
 
 
 def sampled_together(record: Recording, turned_rad: FloatArray) -> FloatArray:
-    """The cosine track in counts; ``turned_rad`` is d at each sample. Both of the length of the record.
+    """The cosine track in counts, as if sampled together with the sine.
 
-    Samples at the ends of the converter stay as they are; NaN where there is none. CalibrationError if the
-    samples are on no ellipse.
+    ``turned_rad`` is the phase error d by the path at each sample of the record. Clipped samples are
+    unchanged; NaN: no sample. CalibrationError if the samples are on no ellipse.
     """
     sine, cosine, use = record.sine, record.cosine, record.valid
     ellipse = fit_ellipse(sine, cosine, use)
@@ -276,7 +276,7 @@ def sampled_together(record: Recording, turned_rad: FloatArray) -> FloatArray:
     for _ in range(FITS):
         found = _together(sine, cosine, turned_rad, used)
         used = fit_ellipse(sine, found, use)
-    inside = np.clip(found, cosine.min(), cosine.max())  # the amplitude is the same
+    inside = np.clip(found, cosine.min(), cosine.max())  # the amplitude does not change
     return np.select([use, record.clipped], [inside, cosine], np.nan)
 
 
@@ -286,8 +286,8 @@ def tracks_of_job(
     """Both tracks, as if sampled at once, and their times in seconds, None: equidistant.
 
     ``data`` as for :func:`.recorded_tracks`; ``times`` in units of 100 ns, INTEGER64, NO_TIME: no sample;
-    ``turned`` is d of each sample, REAL32. All of one length and of this machine. CalibrationError if the
-    samples are on no ellipse.
+    ``turned`` as for :func:`sampled_together`, REAL32. All have one length and native byte order.
+    CalibrationError if the samples are on no ellipse.
     """
     sine, cosine = recorded_tracks(data)
     turned_rad = np.frombuffer(turned, np.float32).astype(np.float64) if turned else np.zeros(len(sine))
@@ -304,16 +304,16 @@ def tracks_of_job(
 
 
 def mean_speed(record: Recording, near_cycles: float) -> float:
-    """Cycles per interval, the one that is nearest to ``near_cycles``: samples leave whole cycles open."""
+    """Mean speed, cycles per interval. Samples give it modulo 1: the value nearest to ``near_cycles``."""
     step = _steps(record)[1]
     shown = float(np.mean(step)) if len(step) else near_cycles
     return shown + round(near_cycles - shown)
 
 
 def speeds(record: Recording, mean_cycles: float) -> FloatArray:
-    """Speed at each sample, cycles per interval, shape (n,), of a mean that is known from elsewhere.
+    """Speed at each sample, cycles per interval, shape (n,), given its mean.
 
-    Samples alone leave whole cycles per interval open.
+    Samples alone give the speed modulo 1.
     """
     middle, step = _steps(record)
     if not len(step):
@@ -341,13 +341,13 @@ def _together(sine: FloatArray, cosine: FloatArray, turned_rad: FloatArray, used
     return np.asarray(used.cosine_offset_counts + moved / used.cosine_gain, np.float64)
 
 
-MOST_EFFECT_RAD = 0.1  # of the analog path on the fundamental, for harmonics as at standstill
+MOST_EFFECT_RAD = 0.1  # largest phase shift of the fundamental by the path that leaves harmonics unchanged
 
 
 def counts_at(hertz: float, cosine_delay_s: float, corners: Corners) -> bool:
-    """At this speed, cycles per second, the harmonics are not those at standstill.
+    """Whether the path changes the harmonics at this speed, cycles per second.
 
-    A module would correct them twice: their part of the error is in the table of this speed already.
+    If so, the table of this speed contains their error, and a module would correct it twice.
     """
     turned = 2.0 * np.pi * abs(hertz * cosine_delay_s)
     passed = [abs(hertz) / hz for hz in (corners.corner_hz, corners.of_cosine_hz) if hz]

@@ -1,13 +1,13 @@
-"""The analog path from the tracks at several speeds: delay between them, corners of their low-passes, delay.
+"""The analog path, from the tracks at several speeds: delay of the cosine, corners of both low-passes.
 
     |sine| = A / sqrt(1 + (f / fs)^2),    |cosine| = B / sqrt(1 + (f / fc)^2),    f in cycles per second
     angle from sine to cosine = angle at standstill + 2 pi f cosine_delay + arctan(f / fs) - arctan(f / fc)
 
-|sine|^-2 is a line over f^2, and with the corners known the angle is one over f: both by weighted least
-squares. The geometric mean of the tracks shows the mean corner, their ratio the difference.
+|sine|^-2 is linear in f^2 and, with known corners, the angle linear in f: weighted least squares fit both.
+The geometric mean of the amplitudes gives the mean corner, their ratio the difference.
 
-No angle shows what both tracks are late; one pole that leaves the part r is late by arccos(r) / (2 pi)
-cycles, two equal ones by more. Uncertainties are one standard deviation.
+The angle does not show the delay common to both tracks. One pole with gain r delays by arccos(r) / (2 pi)
+cycles, two equal poles by more. Uncertainties are one standard deviation.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ from canfb.errors import CalibrationError
 from canfb.signal.front_end import Corners
 from canfb.signal.phase import ArrayLike, ComplexArray, FloatArray
 
-AMPLITUDE_REPEATS = 1e-3  # relative, both tracks together, from one speed to the next
-RATIO_REPEATS = 2e-4  # of one amplitude to the other
-ANGLE_REPEATS_RAD = 2e-4  # from sine to cosine
-DETECTED_SIGMAS = 3.0  # a low-pass, or a delay, that is detected
-APART_SIGMAS = 2.0  # corners that differ
-# Rms of the phase, cycles, that an angle of d rad between the tracks leaves, or a ratio of amplitudes of
-# exp(d): to first order the arc tangent is off by d/2 cos 2x, or d/2 sin 2x, beside its mean.
+# Repeatability from one speed to the next, standard deviations:
+AMPLITUDE_REPEATS = 1e-3  # of the amplitude of both tracks, relative
+RATIO_REPEATS = 2e-4  # of the ratio of the amplitudes
+ANGLE_REPEATS_RAD = 2e-4  # of the angle from sine to cosine
+DETECTED_SIGMAS = 3.0  # a low-pass or a delay of more than these is detected
+APART_SIGMAS = 2.0  # corners that differ by less are equal
+# Rms phase error, cycles per rad, caused by an error d of the angle between the tracks, or by an amplitude
+# ratio of exp(d): to first order the arc tangent errs by d/2 cos 2x, or d/2 sin 2x, beside its mean.
 ERROR_OF_ANGLE = 1.0 / (4.0 * math.pi * math.sqrt(2.0))
-MOST_UNCERTAIN_CYCLES = 1e-4  # rms, at the highest speed, from the delay between the tracks
-MOST_OFF_CYCLES = 1e-3  # rms, at any speed: what the model does not explain
+MOST_UNCERTAIN_CYCLES = 1e-4  # largest rms phase error by the uncertain delay, at the highest speed
+MOST_OFF_CYCLES = 1e-3  # largest rms phase error by the misfit of the model, at any speed
 ROUNDS = 30
 MOST_MISFIT = DETECTED_SIGMAS * AMPLITUDE_REPEATS
-BEYOND = 3.0  # standard deviations: a low-pass beyond them would have been detected
+BEYOND = 3.0  # standard deviations: a low-pass stronger than the fit by these would have been detected
 
 
 class Fundamental(NamedTuple):
@@ -44,7 +45,7 @@ class Fundamental(NamedTuple):
 
     hertz           cycles per second, with sign
     sine, cosine    amplitudes, counts
-    angle_rad       of the cosine before the sine, less a quarter of a cycle
+    angle_rad       lead of the cosine over the sine, less a quarter of a cycle
     noise           relative standard deviation of an amplitude by the noise of the samples
     """
 
@@ -57,15 +58,15 @@ class Fundamental(NamedTuple):
 
 @dataclass(frozen=True)
 class LowPass:
-    """A low-pass of one pole as the amplitudes over the speed show it.
+    """A low-pass of one pole, fitted to the amplitudes over the speed.
 
     per_hz          1 / corner, 0.0: none is detected; sigma_per_hz: its uncertainty
     top_hz          the highest speed
     misfit          largest relative difference of an amplitude from the fit
-    checked         there are enough speeds for misfit to say whether it is one pole
-    least_corner_hz a lower one would have been detected
+    checked         the speeds suffice to judge by misfit whether it is one pole
+    least_corner_hz a lower corner would have been detected
     rises           the amplitude rises with the speed
-    two_poles_delay_s   at low speed, of two equal poles instead, which are later; None: ruled out
+    two_poles_delay_s   longer delay, at low speed, if it were two equal poles; None: ruled out
     """
 
     per_hz: float
@@ -83,7 +84,7 @@ class LowPass:
 
     @property
     def corner_hz(self) -> float:
-        """0.0: none."""
+        """Corner frequency; 0.0: none."""
         return 1.0 / self.per_hz if self.per_hz else 0.0
 
     @property
@@ -93,7 +94,7 @@ class LowPass:
 
     @property
     def left(self) -> float:
-        """The part of the amplitude at the highest speed."""
+        """Gain at the highest speed, 0..1."""
         return 1.0 / math.hypot(1.0, self.top_hz * self.per_hz)
 
     @property
@@ -106,13 +107,13 @@ class LowPass:
 
     @property
     def delay_sigma_s(self) -> float:
-        """Its uncertainty if it is one pole; where none is detected, the longest delay that would not be."""
+        """Uncertainty of `delay_s` for one pole; if none is detected, the longest delay that would not be."""
         if not self.is_detected:
             return 1.0 / (2.0 * math.pi * self.least_corner_hz) if self.least_corner_hz else math.inf
         return self.sigma_per_hz / (2.0 * math.pi)
 
     def delay_cycles(self, hertz: float) -> float:
-        """At a speed: arctan(f / fc) / (2 pi)."""
+        """Delay at a speed: arctan(f / fc) / (2 pi)."""
         return math.atan(hertz * self.per_hz) / (2.0 * math.pi)
 
     def delay_sigma_cycles(self, hertz: float) -> float:
@@ -125,7 +126,7 @@ class PathFit:
     """The analog path between an encoder and its counts.
 
     cosine_delay_s        the cosine is sampled this much after the sine (2002:06), 0.0: none is detected
-    corners, low_pass     2001:05 and 2001:06; that of the sine, which the position is late by
+    corners, low_pass     2001:05 and 2001:06; low-pass of the sine, which delays the position
     """
 
     cosine_delay_s: float
@@ -152,8 +153,8 @@ def response(hertz: ArrayLike, corner_hz: float) -> ComplexArray:
 
 
 def fit_path(found: Sequence[Fundamental]) -> PathFit:
-    """The path of these fundamentals. CalibrationError ("speed") where the speeds are too close together,
-    or where no such path gives these tracks.
+    """The path of these fundamentals. CalibrationError ("speed") if the speeds are too close together,
+    or if no such path gives these tracks.
     """
     f, sine, cosine, angle, noise = np.array(found).T
     check_apart(f, noise)
@@ -169,7 +170,7 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
         moved, per_hz = float(np.abs(pair - per_hz).max()), pair
         if moved < 1e-6 * both.per_hz:
             break
-        # The mean of two low-passes is not quite that of one between them.
+        # The geometric mean of two low-passes differs from one low-pass at the mean corner: correct for it.
         each = np.prod(np.hypot(1.0, np.outer(pair, f)), axis=0)
         both = fit_low_pass(f, size * np.sqrt(each) / np.hypot(1.0, pair.mean() * f), sigma)
     ratio = np.outer(per_hz, f)
@@ -191,14 +192,14 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
     corner, of_cosine = (1.0 / float(one) if one else 0.0 for one in per_hz)
     return PathFit(
         float(delay_s) if abs(delay_s) > DETECTED_SIGMAS * delay_sigma_s else 0.0,
-        math.hypot(delay_sigma_s, apart_sigma / (2.0 * math.pi)),  # corners that differ look like a delay
+        math.hypot(delay_sigma_s, apart_sigma / (2.0 * math.pi)),  # different corners look like a delay
         Corners(corner, 0.0 if of_cosine == corner else of_cosine),
         replace(both, per_hz=float(per_hz[0])),
     )
 
 
 def check_apart(hertz: FloatArray, noise: FloatArray | float = 0.0) -> None:
-    """Refuse speeds (cycles/s) that do not determine a delay, with what would be left uncertain."""
+    """Refuse speeds (cycles/s) too close to determine the delay; the error gives the uncertainty."""
     apart, top = float(np.ptp(hertz)), float(np.abs(hertz).max())
     sigma_rad = math.sqrt(2.0) * math.hypot(ANGLE_REPEATS_RAD, float(np.max(noise)))
     if apart == 0.0:
@@ -214,9 +215,9 @@ def check_apart(hertz: FloatArray, noise: FloatArray | float = 0.0) -> None:
 
 
 def fit_low_pass(hertz: FloatArray, amplitude: FloatArray, sigma: FloatArray) -> LowPass:
-    """One pole through amplitudes (any unit) at speeds (cycles/s), ``sigma`` relative, all of one length.
+    """Fit one pole to amplitudes (any unit) at speeds (cycles/s), ``sigma`` relative, all of one length.
 
-    At least one speed that is not zero.
+    At least one speed must differ from zero.
     """
     top = float(np.abs(hertz).max())
     square = (hertz / top) ** 2
@@ -247,14 +248,14 @@ def _poles(
 ) -> tuple[float, float, float]:
     """(top speed / corner)^2 of this many equal poles, its uncertainty, largest relative difference.
 
-    amplitude^(-2/count) is a line over the square of the speed, which is relative to the top one.
+    amplitude^(-2/count) is linear in ``square``, (speed / top speed)^2.
     """
     inverse = (amplitude.max() / amplitude) ** (2.0 / count)
     weight = count / (2.0 * sigma * inverse)
     (rise, at_rest), covariance = np.polyfit(square, inverse, 1, w=weight, cov="unscaled")
     fitted = np.maximum(at_rest + rise * square, 1e-9)
     off = (inverse / fitted) ** (count / 2.0) - 1.0
-    # A line through two speeds leaves nothing.
+    # With two speeds the line fits exactly and nothing scatters.
     spread = max(1.0, math.sqrt(float(np.sum((off / sigma) ** 2)) / max(1, len(square) - 2)))
     at_rest = max(float(at_rest), 1e-9)
     return float(rise) / at_rest, spread * math.sqrt(covariance[0, 0]) / at_rest, float(np.abs(off).max())
@@ -263,14 +264,14 @@ def _poles(
 def _corners(f: FloatArray, gain: FloatArray, noise: FloatArray, per_hz: float) -> tuple[FloatArray, float]:
     """1 / corner of sine and cosine, and the uncertainty of their difference.
 
-    Their mean is that of both; the amplitudes of the tracks, one to the other, give the difference.
+    ``per_hz`` is their mean; the ratio of the amplitudes gives the difference.
     """
     weight = 1.0 / np.hypot(RATIO_REPEATS, noise)
     pair = np.array([per_hz, per_hz])
     for _ in range(ROUNDS):
         ratio = np.outer(pair, f)
         model = 0.5 * np.log1p(ratio[0] ** 2) - 0.5 * np.log1p(ratio[1] ** 2)
-        # of half the difference: the cosine's is larger by it, that of the sine smaller
+        # derivative of `gain` with respect to `half`: 1 / corner is mean + half (cosine), mean - half (sine)
         slope = -np.sum(ratio * f / (1.0 + ratio**2), axis=0)
         (half, _), covariance = np.polyfit(slope, gain - model, 1, w=weight, cov="unscaled")
         sigma = 2.0 * math.sqrt(covariance[0, 0])

@@ -1,11 +1,12 @@
-"""A recording of both tracks, checked; blocks of it; its positions; motion that is locked to its samples.
+"""A recording of both tracks: checks, blocks, positions, and a test for motion locked to the samples.
 
-At p/q cycles per sample only q places of the cycle are sampled. The mean of cosine + i sine, amplitude A, at
-a place that moves by d cycles in a window is A |sin(pi d) / (pi d)|; locked is d < 0.36 / q in 256 samples.
+At p/q cycles per sample only q phases of the cycle are sampled. The mean of cosine + i sine, amplitude A, of
+every q-th sample is A |sin(pi d) / (pi d)| if the phase drifts by d cycles in a window. The motion is locked
+if d < 0.36 / q in 256 samples.
 
-Phases leave the speed open by s whole cycles per sample. With even times the position is then off by a line,
-as smooth as the motion. With uneven ones all speeds that join the first two samples are followed, and the one
-with the least squares of the residuals (eq. 9 over elapsed times, the speed over BASELINE at least) is taken.
+Phases determine the speed modulo one cycle per sample. With even times a wrong speed adds a straight line to
+the position, which stays smooth. With uneven times all speeds between the first two samples are followed;
+the one with the least squared residuals (eq. 9 over elapsed times, speed over at least BASELINE) is kept.
 """
 
 from __future__ import annotations
@@ -35,27 +36,29 @@ from canfb.signal.sample_recording import BYTES_PER_SAMPLE
 from canfb.signal.tracker import track
 
 MIN_SAMPLES = 200
-# Faults may hit the end of the range now and then; a track that is too large hits it in
-# every cycle at the same phase.
+# Faults reach the end of the range occasionally; a track that is too large does so in every cycle, at the
+# same phase.
 CLIPPED_PART = 0.05
 CLIPPED_PART_OF_BIN = 0.2
 BREAK_INTERVALS = 10.0
-DEAD = 0.1  # of the amplitude: less is no track, and its angle would be followed as a motion
+DEAD = 0.1  # of the amplitude: below it there is no track, and its angle would look like motion
 ADC_BITS = (12, 14, 16)
-FAULTY_PART = 0.005  # of the counts, at either end: a track that clips has more of them there
-MOST_COUNTS = 1e12  # of no converter: squares of them are finite
+# Part of the counts, at either end, that is ignored when the bits of the converter are found: a track that
+# clips has more counts there.
+FAULTY_PART = 0.005
+MOST_COUNTS = 1e12  # beyond any converter; squares of these are still finite
 UNEVEN = 1e-6
 NO_TIME = -1
 CUBIC = 4
-SPARE = 2  # a block with fewer samples than coefficients and these says nothing about the tracks
+SPARE = 2  # a block needs this many samples more than coefficients to tell something about the tracks
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """Samples in rows, one row a block.
 
-    index   sample numbers, shape (blocks, length), filled up where a block is shorter
-    used    False for filling and for samples left out
+    index   sample numbers, shape (blocks, length), shorter blocks padded
+    used    False for padding and for samples left out
     terms   Legendre polynomials of time -1..1 over the block, shape (blocks, length, coefficients)
     tracks  counts, shape (2, blocks, length), sine first
     """
@@ -72,7 +75,7 @@ class Blocks:
         return Blocks(self.index[rows], self.used[rows], self.terms[rows], self.tracks[:, rows])
 
     def using(self, used: BoolArray) -> Blocks:
-        """The same blocks with other samples left out; blocks with too few samples give none."""
+        """These blocks with only the samples ``used``; a block with too few of them uses none."""
         return replace(self, used=used & (used.sum(axis=1) >= self.coefficients + SPARE)[:, None])
 
     @property
@@ -92,10 +95,10 @@ class Blocks:
         return float(np.sqrt(self.samples / max(1, self.freedom)))
 
     def informative(self, position: FloatArray) -> BoolArray:
-        """Blocks whose samples meet at least four eighths of the cycle.
+        """Blocks with samples in at least four eighths of the cycle.
 
-        ``position`` in cycles, (blocks, length). At standstill, or locked to the samples,
-        any table looks good.
+        ``position`` in cycles, (blocks, length). At standstill, or with motion locked to the samples, any
+        table fits.
         """
         eighth = (position % 1.0 * 8.0).astype(np.int64) % 8
         met = np.zeros((len(self), 8), np.bool_)
@@ -112,9 +115,9 @@ class Blocks:
 
 
 def solve_blocks(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """Solutions of many small positive systems; a block without samples gives zero."""
+    """Solutions of many small positive definite systems; zero for a block without samples."""
     size = np.trace(matrices, axis1=1, axis2=2)
-    # The small ridge only matters where samples are too few or too close together.
+    # The small ridge only matters if samples are too few or too close together.
     ridge = np.where(size > 0.0, size * 1e-13, 1.0)
     return np.asarray(
         np.linalg.solve(matrices + ridge[:, None, None] * np.eye(matrices.shape[1]), right), np.float64
@@ -123,11 +126,11 @@ def solve_blocks(matrices: FloatArray, right: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Samples of both tracks, float64, with 0 in place of what is not a number.
+    """Samples of both tracks, float64; 0 replaces NaN.
 
-    valid, clipped   used; at the ends of the converter's range
-    time, uneven     in sampling intervals (median), rising; they differ
-    breaks           first samples after gaps over which the position is not followed
+    valid, clipped   samples used; samples at the ends of the converter's range
+    time, uneven     in units of the median interval, rising; whether intervals differ
+    breaks           first samples after gaps across which the position is not followed
     """
 
     sine: FloatArray
@@ -139,11 +142,11 @@ class Recording:
     breaks: IntArray
 
     def positions(self, phase: FloatArray) -> FloatArray:
-        """:func:`positions` by the phases of valid samples."""
+        """:func:`positions` from the phases of valid samples."""
         return positions(np.where(self.valid, phase, np.nan), self.time, self.uneven, self.breaks)
 
     def cut(self, length: int, terms: int = CUBIC) -> Blocks:
-        """Blocks of about ``length`` samples; none reaches across a break.
+        """Blocks of about ``length`` samples; none contains a break.
 
         In each block the motion is a polynomial of ``terms`` coefficients.
         """
@@ -174,8 +177,8 @@ def recording(
     may_be_offset: bool = False,
 ) -> Recording:
     """Check the arguments of a reference measurement. ValueError for wrong ones, CalibrationError
-    ("samples") for too few usable samples. The mark of a missed sample (2050:03) is not a sample.
-    ``may_be_offset``: a conditioning will take the offset away."""
+    ("samples") for too few usable samples. Samples marked as missed (2050:03) are not used.
+    ``may_be_offset``: a conditioning will remove the offset."""
     s, c = np.array(pair_of_tracks(sine, cosine, may_be_offset=may_be_offset), np.float64)
     missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS) | (np.maximum(np.abs(s), np.abs(c)) > MOST_COUNTS)
     s[missed] = c[missed] = np.nan
@@ -211,8 +214,8 @@ def prepared(
     adc_bits: int | None,
     entries: int,
 ) -> tuple[Recording, Conditioning, FloatArray, Conditioning]:
-    """The arguments of a reference measurement, checked: the recording, its ellipse, the angles behind that
-    (cycles), and the conditioning that the table is made for, as 2002h holds it.
+    """The checked arguments of a reference measurement: the recording, its ellipse, the angles after that
+    (cycles), and the conditioning that the table is made for, rounded as in 2002h.
     """
     if entries not in range(16, 4097):
         raise ValueError(f"entries must be 16..4096, not {entries!r}")
@@ -251,13 +254,13 @@ def recorded_tracks(data: bytes) -> tuple[FloatArray, FloatArray]:
 def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | None) -> BoolArray:
     counts = np.concatenate([s[usable], c[usable], [0.0]])
     low, high = float(counts.min()), float(counts.max())
-    if adc_bits is None:  # of the tracks: a fault may lie beyond their converter's range
+    if adc_bits is None:  # find it without outliers: a fault may exceed the range of the converter
         low, high = np.quantile(counts, (FAULTY_PART, 1.0 - FAULTY_PART), method="nearest").tolist()
         fitting = [bits for bits in ADC_BITS if -(1 << bits - 1) <= low and high < 1 << bits - 1]
         if not fitting:
             return np.zeros_like(usable)
         adc_bits = fitting[0]
-    full = 1 << int(adc_bits) - 1 if adc_bits in range(4, 17) else 0  # 0: nothing fits
+    full = 1 << int(adc_bits) - 1 if adc_bits in range(4, 17) else 0  # 0: refuse any sample
     if low < -full or high > full - 1:
         do = "set adc_bits (4 to 16)" if low < 0.0 else "none is below zero: subtract mid-scale"
         raise ValueError(f"samples from {low:g} to {high:g} counts do not fit {adc_bits} bits: {do}")
@@ -278,7 +281,7 @@ def _intervals(time_s: ArrayLike | None, n: int) -> tuple[FloatArray, bool]:
 
 
 def check_clipped(record: Recording, angle: FloatArray) -> None:
-    """Refuse tracks that are cut off. ``angle`` of all samples, clipped ones included, in cycles."""
+    """Refuse clipped tracks. ``angle`` of all samples, also clipped ones, in cycles."""
     count = int(record.clipped.sum())
     seen = record.valid | record.clipped
     cut = samples_in_bins(angle[record.clipped])
@@ -290,21 +293,21 @@ def check_clipped(record: Recording, angle: FloatArray) -> None:
         )
 
 
-WINDOW = 256  # samples; a reference measurement needs that the phases move within about this many
+WINDOW = 256  # samples; a reference measurement requires the phases to move within about this many
 LARGEST_DENOMINATOR = 16
-DRIFT_CYCLES = 0.36  # over the window, times the denominator: less is too close to locked
-# Steps in cycles per sample, far from simple fractions; the first that leads away from them is taken. 0.382
-# is the golden section, whose multiples stay farthest from whole numbers: 0.034 at 13, more at all others
-# up to 16.
+DRIFT_CYCLES = 0.36  # drift in the window times q; below it the motion is too close to locked
+# Changes of the speed, cycles per sample; `away_from` takes the first that leads to no simple fraction. The
+# multiples of 0.382, the golden section, stay farthest from whole numbers: 13 x 0.382 is 0.034 away, all
+# others up to 16 are further.
 STEPS = (0.382, 0.276, 0.171, 0.236, 0.118, 0.073, 0.045)
 FAR = 0.03
 
 
 def find_lock(sine: FloatArray, cosine: FloatArray) -> Fraction | None:
-    """Cycles per sample, less whole ones, of locked tracks (ADC counts, NaN for a missed sample); None
-    without a lock, below 256 samples, or with all missed.
+    """Cycles per sample, modulo 1, of locked tracks (ADC counts, NaN: missed sample); None without a lock,
+    below 256 samples, or if all are missed.
 
-    Locked at p/q, each q-th sample lies at the same place; here for q up to 16, on windows of 256.
+    Locked at p/q, every q-th sample has the same phase; tested for q up to 16, in windows of 256.
     """
     z = cosine + 1j * sine
     windows = len(z) // WINDOW
@@ -322,7 +325,7 @@ def find_lock(sine: FloatArray, cosine: FloatArray) -> Fraction | None:
 
 
 def away_from(fraction: float) -> float:
-    """What to add to these cycles per sample so that they are no simple fraction."""
+    """The change of ``fraction``, cycles per sample, that leads away from simple fractions."""
     denominators = range(1, LARGEST_DENOMINATOR + 1)
     far = (
         step
@@ -332,27 +335,27 @@ def away_from(fraction: float) -> float:
     return next(far, STEPS[0])
 
 
-# Cycles per interval: far beyond 3000 rpm of 5000 cycles at 1 kHz.
+# Highest speed followed, cycles per interval; 3000 rpm with 5000 cycles at 1 kHz is 250.
 FASTEST = 512.0
-# Intervals; nearly one, so that times with some jitter are followed as by eq. 9.
+# Shortest time over which a speed is taken, intervals; nearly one, so that jittering times follow eq. 9.
 BASELINE = 0.75
-LONGEST_LAG = 64  # samples; this many within BASELINE are a flood, not a sampling
-# Speeds are given up, and those that have become one are joined, at this interval of samples.
+LONGEST_LAG = 64  # samples over which a speed is taken at most, however close they are
+# After each n samples, wrong speeds are dropped, and all but one of the speeds that have converged.
 PRUNE_SAMPLES = 32
-# A speed whose sum of squares is worse by this many mean squares is wrong (10 standard deviations) ...
+# A speed is wrong if its sum of squares exceeds the least by this many mean squares (10 sigma).
 WRONG = 100.0
-# ... and one that is worse by no more than this fits as well as the best (3 standard deviations).
+# A speed fits as well as the best one if its sum exceeds the least by at most this (3 sigma).
 ALIKE = 9.0
-# Mean squares of residuals, cycle^2, at least: 16 bits leave more; and what a poor encoder that is not
-# corrected yet may show at the first phase that it has not met before.
+# Lower limits of the mean square of the residuals, cycle^2: less than 16-bit samples have; and that of a
+# poor, uncorrected encoder at a phase that no sample has had before.
 LEAST_SQUARE, POOR_SQUARE = 1e-8, 2e-4
-LONG = 1.5  # intervals: over more than these the speed after them counts as well
+LONG = 1.5  # intervals; across longer ones the speed after them counts as well
 
 
 def positions(phase: FloatArray, time: FloatArray, uneven: bool, breaks: IntArray) -> FloatArray:
-    """Positions in cycles; each segment starts near 0, and even ones may be off by a straight line.
+    """Positions in cycles; each segment starts near 0. With even times a straight line may be added.
 
-    ``phase`` in cycles, NaN: none, interpolated; ``time`` in sampling intervals, rising; ``breaks``: first
+    ``phase`` in cycles, NaN: interpolated; ``time`` in sampling intervals, rising; ``breaks``: first
     samples of all segments but the first.
     """
     position = np.empty(len(phase))
@@ -370,7 +373,7 @@ def positions(phase: FloatArray, time: FloatArray, uneven: bool, breaks: IntArra
 def _follow_uneven(phase: FloatArray, time: FloatArray, likely: float) -> tuple[FloatArray, float]:
     """Positions and the speed at the end, cycles per interval.
 
-    ``likely``: the speed to take among those that fit equally well is the one nearest to it.
+    Of speeds that fit equally well the one nearest to ``likely`` is taken.
     """
     seen = np.flatnonzero(~np.isnan(phase))
     if len(seen) < 2 or time[seen[-1]] - time[seen[0]] < BASELINE:
@@ -387,7 +390,7 @@ def _follow_uneven(phase: FloatArray, time: FloatArray, likely: float) -> tuple[
     turn = alike[np.argmin(np.abs((alike + p[first] - p[0]) / elapsed - likely))]
     places = np.concatenate(_run(p, t, first, base, weights, np.array([turn]))[2]).tolist()
     columns = (one[first + 1 :].tolist() for one in (p, base, weights))
-    for one, begin, weight in zip(*columns, strict=True):  # one motion: floats are faster than arrays of one
+    for one, begin, weight in zip(*columns, strict=True):  # one motion left: floats are faster than arrays
         places.append(round(places[-1] + (places[-1] - places[begin]) * weight - one) + one)
     position = _over_gaps(np.array(places), t, first, base)
     at = base[-1] + 1
@@ -397,10 +400,11 @@ def _follow_uneven(phase: FloatArray, time: FloatArray, likely: float) -> tuple[
 def _run(
     phase: FloatArray, time: FloatArray, first: int, base: IntArray, weights: FloatArray, turns: FloatArray
 ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    """Follow the motions that have passed these whole cycles from sample 0 to ``first``, straight.
+    """Follow the motions that pass ``turns`` whole cycles, at constant speed, from sample 0 to ``first``.
 
-    The speed before sample k is that from sample ``base[k]`` to k - 1, times ``weights[k]`` a step. Until one
-    is left: those open, the sums of the squares of their residuals in those of the phases, their positions.
+    The step to sample k is predicted as the step from ``base[k]`` to k - 1, times ``weights[k]``. Ends when
+    one motion is left. Returns the ``turns`` left, their sums of squared residuals, each relative to its
+    variance for unit variance of the phase, and their positions.
     """
     part = ((time[: first + 1] - time[0]) / (time[first] - time[0]))[:, None]
     line = phase[0] + part * (turns + (phase[first] - phase[0]))
@@ -422,7 +426,7 @@ def _run(
 
 
 def _still_open(latest: FloatArray, square: FloatArray, taken: int) -> IntArray:
-    """Motions to go on with: not wrong, and of those with the same latest steps only the best."""
+    """Motions to continue: not wrong, and the best of those with the same latest steps."""
     order = np.argsort(square, kind="stable")
     order = order[square[order] <= square.min() + WRONG * max(square.min() / taken, POOR_SQUARE)]
     steps = latest[:, order] - latest[-1, order]
@@ -431,9 +435,10 @@ def _still_open(latest: FloatArray, square: FloatArray, taken: int) -> IntArray:
 
 
 def _over_gaps(position: FloatArray, time: FloatArray, first: int, base: IntArray) -> FloatArray:
-    """The positions with those of long intervals from the speeds on both sides, as for constant acceleration.
+    """The positions, with steps over long intervals from the speeds on both sides (constant acceleration).
 
-    The speed before alone errs by A T (T + 1) / 2: half a cycle after nine intervals of 0.011 cycle each^2.
+    The speed before a gap T alone errs by A T (T + 1) / 2: 0.5 cycle for T = 9 and A = 0.011 cycle per
+    interval^2.
     """
     end = np.flatnonzero(np.diff(time) > LONG) + 1
     after = np.searchsorted(time, time[end] + BASELINE)
@@ -447,6 +452,6 @@ def _over_gaps(position: FloatArray, time: FloatArray, first: int, base: IntArra
     middle = early + (late - early) * (ahead + gap) / (ahead + 2.0 * gap + behind)
     shift = np.zeros(len(time))
     shift[end] = np.rint(middle * gap - (position[end] - position[begin]))
-    # Two long intervals in a row: the speed over the second cannot judge the first.
+    # Two long intervals in a row: the speed over the second may be wrong itself.
     shift[end[after > np.append(end[1:], len(time))]] = 0.0
     return np.asarray(position + np.cumsum(shift), np.float64)

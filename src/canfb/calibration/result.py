@@ -1,7 +1,7 @@
-"""What a reference measurement gives, with its errors over the phase, and when it is refused; drift from
+"""Result of a reference measurement, with its errors over the phase; criteria for refusing it; drift from
 the active table.
 
-A bad one is never returned as good.
+A bad measurement is never returned as good.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Reason(StrEnum):
 
 @contextlib.contextmanager
 def naming_speed(hertz: float) -> Iterator[None]:
-    """CalibrationErrors in here say at which speed, cycles per second."""
+    """CalibrationErrors raised in this context name the speed, cycles per second."""
     try:
         yield
     except CalibrationError as error:
@@ -76,7 +76,7 @@ class Method(StrEnum):
     ZERO_CROSSINGS = "zero crossings"
 
 
-BINS = 64  # of the cycle
+BINS = 64  # bins of the phase in a cycle
 MIN_PER_BIN = 2
 
 
@@ -89,14 +89,14 @@ def samples_in_bins(phase: FloatArray) -> IntArray:
 
 
 def mean_in_bins(phase: FloatArray, values: FloatArray) -> FloatArray:
-    """Mean of the values at these phases in each bin, NaN in one without."""
+    """Mean of the values in each bin of the phase; NaN in an empty bin."""
     count = samples_in_bins(phase)
     mean = np.bincount(bins_of(phase), values, BINS) / np.where(count, count, np.nan)
     return np.asarray(mean, np.float64)
 
 
 def coverage(phase: FloatArray) -> float:
-    """Part of the cycle that is sampled: bins of 1/64 with two of these phases (cycles) in or beside them."""
+    """Fraction of the 64 bins of the cycle that have two of these phases (cycles), neighbours included."""
     return covered(samples_in_bins(phase))
 
 
@@ -108,7 +108,7 @@ def covered(counts: Sequence[int] | IntArray) -> float:
 def about_mean(
     off: FloatArray, of: FloatArray | None = None, weights: FloatArray | None = None
 ) -> FloatArray:
-    """Differences of phases (cycles) within half a cycle about their mean, or that of other ones, ``of``.
+    """Phases (cycles) less their mean, or the mean of ``of``; within half a cycle.
 
     The mean is the angle of the mean of the unit vectors, weighted by ``weights`` if given.
     """
@@ -122,7 +122,7 @@ def root_mean(values: FloatArray) -> float:
 
 
 def robust_rms(values: FloatArray) -> float:
-    """Standard deviation, by the median."""
+    """Standard deviation, from the median."""
     return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
 
 
@@ -164,7 +164,7 @@ def error_curve(position: FloatArray, before: FloatArray, after: FloatArray) -> 
 
 
 TRACK_POINTS = 1024
-PEAK_SIGMAS = 4.0  # of the stated largest error of a table
+PEAK_SIGMAS = 4.0  # the stated largest error of a table, in standard deviations
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,14 +178,14 @@ class Calibration:
     coverage         fraction of the cycle that has samples, 0..1
     cycles_used      cycles passed by the samples used
     samples_used     samples used; samples_rejected: usable ones omitted as faults
-    residual_rms     rms deviation of samples from smooth motion, cycles, noise included, with a table of
-                     other ones
+    residual_rms     rms deviation of samples from smooth motion, cycles, noise included, with a table
+                     from other samples
     residual_peak    largest such deviation
     before_rms       the same with the identity table
     before_peak
     uncertainty_rms  expected error of the table, rms over the cycle, cycles
     uncertainty_peak largest expected error
-    change_rms       by how much tables of parts of the time differ, cycles; 0: no more than by noise
+    change_rms       rms difference of tables from parts of the time, cycles; 0: not above noise
     noise_counts     rms noise of a track, counts
     noise_cycles     rms deviation from the smooth motion, as a phase
     bound_rms        Cramer-Rao bound of the table's rms error, cycles; None: not computed
@@ -225,7 +225,7 @@ class Calibration:
     tracks: FloatArray
 
     def __post_init__(self) -> None:
-        # So that the table alone is not used without the conditioning by mistake.
+        # Mark the table, so that it cannot be used without its conditioning by mistake.
         object.__setattr__(self, "table", self.table.made_for(self.conditioning))
 
     @property
@@ -240,7 +240,7 @@ class Calibration:
 
     @property
     def verdict(self) -> str:
-        """One line for people."""
+        """Result, reason and figures in one line."""
         return (
             f"{'accepted' if self.accepted else 'refused'}: {self.reason.text}; "
             f"deviation from smooth motion {100 * self.before_rms:.3g} % -> {100 * self.residual_rms:.3g} % "
@@ -251,14 +251,15 @@ class Calibration:
 
 MIN_COVERAGE = 0.95
 MIN_CYCLES = 10.0
-# The paper's method leaves 0.05 % of a cycle; a table that may be off by that in the mean is refused.
+# The paper's method leaves 0.05 % of a cycle; a table with a larger rms uncertainty is refused.
 MAX_UNCERTAINTY_CYCLES = 5e-4
-# Half of the rms error of Table 1: below it the table helps, and its stated error is the change.
+# Largest change during a measurement, half of the rms error of Table 1: below it the table still helps, and
+# the change is its stated error.
 MOST_CHANGE_CYCLES = 8.0 * MAX_UNCERTAINTY_CYCLES
-# Rms of single samples, along the tracks and across them.
+# Largest rms deviation of single samples, along the curve and across it.
 MAX_OFF_CYCLES = 0.03
-# With phases well mixed in every block the motion costs little information; this much more
-# uncertainty than that says that the motion, not the noise, is to blame.
+# With well mixed phases in every block the unknown motion costs little information. If it increases the
+# uncertainty by more than this factor, the motion is to blame, not the noise.
 LOCKED_LOSS = 3.0
 
 CHANGE_SPEED = (
@@ -285,7 +286,7 @@ def check_distance(coverage: float, cycles: float) -> None:
 def no_fit(what: str, loss: float) -> CalibrationError:
     """The error for tracks and motion that cannot be separated.
 
-    ``loss``: how many times the uncertainty grows because the motion has to be found as well.
+    ``loss``: :func:`.joint.information_loss`.
     """
     if loss > LOCKED_LOSS:
         return CalibrationError(
@@ -306,7 +307,7 @@ def changed(what: str) -> CalibrationError:
 
 
 def judge(found: Calibration, loss: float = 1.0) -> Calibration:
-    """The calibration if it can be used, else CalibrationError with it and the reason."""
+    """The calibration if it is usable, else CalibrationError with it and the reason."""
     try:
         check_distance(found.coverage, found.cycles_used)
         if found.change_rms > MOST_CHANGE_CYCLES:
@@ -321,11 +322,11 @@ def judge(found: Calibration, loss: float = 1.0) -> Calibration:
 
 
 class Drift(NamedTuple):
-    """Difference of two tables, in cycles, without its constant part; of the active one, its present error.
+    """Difference of two tables, cycles, without its constant part: for the active table its present error.
 
     rms    over the cycle, weighted by distance
     peak   the largest
-    Both include the uncertainty of the new measurement
+    Both contain the uncertainty of the new measurement
     (``uncertainty_rms`` and ``uncertainty_peak`` of :class:`canfb.Calibration`).
     """
 
@@ -337,9 +338,9 @@ def drift(fresh: Calibration, table: AnyTable, conditioning: Conditioning | None
     """Drift of the encoder measured by ``fresh`` from ``table`` and ``conditioning``.
 
     ``table`` (or a calibration) and ``conditioning`` are the active ones; None is the identity. The constant
-    part of the difference is removed, because the origin of the phase is a convention; phases by other
-    conditionings are compared on the tracks. TypeError for other types, ValueError for the table of a
-    calibration alone.
+    part of the difference is removed, because the origin of the phase is a convention; with different
+    conditionings the phases of the measured tracks are compared. TypeError for other types, ValueError for
+    the table of a calibration without its conditioning.
     """
     if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning | None):
         raise TypeError(
@@ -348,7 +349,7 @@ def drift(fresh: Calibration, table: AnyTable, conditioning: Conditioning | None
         )
     used = correction_of(table, conditioning)
     active = CorrectionTable.identity() if used.table is None else used.table
-    if used.conditioning == fresh.conditioning:  # straight between the entries of both
+    if used.conditioning == fresh.conditioning:  # the difference is linear between the entries of both
         was = raw = np.unique(
             np.concatenate([np.arange(len(one) + 1) / len(one) for one in (active, fresh.table)])
         )
@@ -359,7 +360,7 @@ def drift(fresh: Calibration, table: AnyTable, conditioning: Conditioning | None
     moved = np.abs(wrap(np.diff(now)))
     weights = (np.append(moved, 0.0) + np.append(0.0, moved)) / 2.0
     off = active(was) - now
-    nowhere = np.isnan(off)  # the tracks as conditioned go through zero: no phase at all
+    nowhere = np.isnan(off)  # the conditioned tracks pass through zero, where there is no phase
     off[nowhere] = 0.0
     off = about_mean(off, weights=weights)
     off -= np.average(off, weights=weights)
@@ -372,11 +373,11 @@ def drift(fresh: Calibration, table: AnyTable, conditioning: Conditioning | None
 SIGNIFICANT = 3.0
 
 
-THIRDS, FINE = 3, 9  # parts: thirds see a slow drift best, shorter ones what happens near either end
+THIRDS, FINE = 3, 9  # parts of the time: thirds show a slow drift best, ninths changes near either end
 
 
 def largest_change(tables: FloatArray, noise: FloatArray) -> Drift:
-    """The largest significant one of tables (parts, phases), uncertain by ``noise`` (parts,); cycles."""
+    """Largest significant difference of two tables (parts, phases); ``noise``: their errors, rms; cycles."""
     centred = tables - tables.mean(axis=1, keepdims=True)
     found = Drift()
     for first, second in zip(*np.triu_indices(len(centred), 1), strict=True):

@@ -1,10 +1,10 @@
 """From a recording to the joint fit (:mod:`.joint`): positions, length of the blocks, orders, faults.
 
-1. Positions from the arc tangent behind the ellipse, with orders 1 to 6.
-2. The block length whose fit expects the least error of the table; else polynomials of higher degree.
-3. More orders, while the last quarter of them carries something; what does not fit is left out.
-4. Positions again from the phases on the fitted curve, and 3. again.
-5. Only orders that stand out: v' C^-1 v of their four coefficients is by noise above 16 in 0.3 % of cases.
+1. Take positions from the arc tangent after the ellipse; fit orders 1 to 6.
+2. Choose the block length with the least expected error of the table; else polynomials of higher degree.
+3. Add orders while the upper quarter of them is significant; leave out samples that do not fit.
+4. Take positions again from the phases on the fitted curve, and repeat 3.
+5. Keep orders whose four coefficients v have v' C^-1 v > 16, which noise alone exceeds in 0.3 % of cases.
 """
 
 from __future__ import annotations
@@ -54,31 +54,31 @@ FIRST_ORDERS = tuple(range(1, 7))
 ORDER_STEPS = (16, 32)
 SAMPLES_PER_ORDER = 30
 STIFF = tuple(Shape(length, CUBIC) for length in (12, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096))
-# Along the curve to across it. Noise alone gives 1, +- 0.011 on the samples of a trial; 1.15 is a motion
-# beyond the blocks of sqrt(1.15^2 - 1) = 0.57 of the noise.
+# Ratio of the noise along the curve to that across it. Noise alone gives 1 +- 0.011 in a trial; 1.15 means
+# that the motion the blocks do not follow is sqrt(1.15^2 - 1) = 0.57 of the noise.
 LIVELY_NOISE = 1.15
-# With noise alone, all orders are at most this much less certain than the few that show.
+# Largest ratio of the uncertainty with all orders to that with the significant ones, for noise alone.
 MOST_UNDETERMINED = 5.0
-# And at most this much less certain than if every sample met another phase.
+# Largest ratio of the uncertainty with all orders to the one that well-spread phases would give.
 INSEPARABLE = 20.0
 DISTANCE_SAMPLES = 64
-# Enough to choose the block length by.
+# Samples that suffice to choose the block length.
 TRIAL_SAMPLES = 8000
 TRIAL_ROUNDS = 4
 
 
 class Start(NamedTuple):
-    """Tracked positions of all samples, cycles, and the tracks they belong to if known."""
+    """Tracked positions of all samples, cycles, and their tracks, if known."""
 
     position: FloatArray
     waveform: Waveform | None
 
 
 class Solution(NamedTuple):
-    """What was found.
+    """Result of :meth:`Solver.solve`.
 
-    loss          how many times the unknown motion made the uncertainty larger
-    undetermined  uncertainty of the table, cycles, from orders that do not show and are not ruled out; else 0
+    loss          factor by which the unknown motion increases the uncertainty
+    undetermined  uncertainty of the table, cycles, by orders neither significant nor ruled out; else 0
     """
 
     fit: JointFit
@@ -95,7 +95,7 @@ def no_progress(_: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Solver:
-    """The search for tracks and motion. ``ellipse`` turns the tracks into a rough circle
+    """The search for tracks and motion. ``ellipse`` converts the tracks to a rough circle
     of radius ``amplitude_counts``.
     """
 
@@ -105,7 +105,7 @@ class Solver:
     report: Progress
 
     def solve(self, angle: FloatArray) -> Solution:
-        """Tracks and motion from the ellipse's ``angle`` (cycles). CalibrationError if there are none."""
+        """Fit tracks and motion, from the ellipse's ``angle`` (cycles) on. CalibrationError if none fit."""
         first = Start(self.record.positions(angle), None)
         seen = first.position[self.record.valid][::DISTANCE_SAMPLES]
         check_distance(coverage(angle[self.record.valid]), float(np.ptp(seen)))
@@ -119,8 +119,8 @@ class Solver:
         self.report(0.5)
         many = significant_orders(fit)[-1] > FIRST_ORDERS[-1]
         if many or lively or self.record.uneven or fit.blocks.samples < int(self.record.valid.sum()):
-            # Better phases determine the speed better and follow the motion where the first ones lost
-            # it; what the first orders left looked like motion.
+            # Corrected phases determine the speed better and follow the motion where the first ones lost
+            # it; errors that orders 1 to 6 left looked like motion.
             better = self._start(angle, fit.waveform)
             if many or lively:
                 shape = self._choose_again(better, shape)
@@ -139,7 +139,8 @@ class Solver:
             raise no_fit("tracks and motion cannot be separated", loss)
         longer = self.record.cut(2 * shape.length, shape.terms)
         if fit.noise.along > LIVELY_NOISE * fit.noise.across and len(longer) >= MIN_BLOCKS:
-            # What the blocks do not follow is no white noise: longer ones show what it does to the tracks.
+            # Motion that the blocks do not follow is not white noise: longer blocks show its effect on the
+            # tracks.
             other = self._fit(longer, self._start(angle, fit.waveform)).waveform
             change = (other.coefficients - fit.waveform.coefficients).ravel()
             moved = root_mean(table_sensitivity(fit.waveform, self.ellipse) @ change)
@@ -166,9 +167,9 @@ class Solver:
         return curve if rises else None
 
     def _choose_shape(self, start: Start, shapes: tuple[Shape, ...]) -> tuple[Shape, bool]:
-        """Blocks that promise the least error: long and stiff ones know more, others follow the motion.
+        """The shape with the least expected error: long, stiff blocks average more, others follow the motion.
 
-        And whether the motion is more than they follow.
+        Also whether its blocks fail to follow the motion.
         """
         best, least, lively = shapes[0], np.inf, True
         for shape in shapes:
@@ -187,7 +188,7 @@ class Solver:
         return self._choose_shape(start, (best, *_more_lively(best)))[0] if lively else best
 
     def _promise(self, start: Start, shape: Shape) -> tuple[float, bool]:
-        """Expected rms error of the table in cycles; True if the motion is more than the blocks follow."""
+        """Expected rms error of the table in cycles; True if the blocks do not follow the motion."""
         blocks, length = self.record.cut(*shape), shape.length
         if len(blocks) > TRIAL_SAMPLES // length:
             few = np.linspace(0, len(blocks) - 1, TRIAL_SAMPLES // length).astype(np.int64)
@@ -196,7 +197,7 @@ class Solver:
             return float("inf"), False
         fit = self._fit(blocks, start)
         strict = reject(fit.blocks, fit)
-        # A block too long for the motion is rejected: what it does not show counts as well.
+        # Blocks too long for the motion are rejected; a shape that loses half of the samples is unsuitable.
         if 2 * strict.samples <= blocks.samples:
             return float("inf"), False
         fit = _again(fit, strict, TRIAL_ROUNDS)
@@ -247,9 +248,9 @@ def _more_lively(shape: Shape) -> tuple[Shape, ...]:
     )
 
 
-SIGNIFICANT = 16.0  # chi^2 of an order that stays, see above
+SIGNIFICANT = 16.0  # v' C^-1 v above which an order is kept (step 5)
 MIN_BLOCKS = 8
-REJECT_SIGMAS = 6.0  # noise alone: once in 5e8 samples
+REJECT_SIGMAS = 6.0  # noise alone exceeds these once in 5e8 samples
 REJECT_BLOCK = 4.0
 QUANTISATION_COUNTS = 0.3  # rms of rounding, 1/sqrt(12)
 COARSE_CYCLES = 0.05
@@ -261,10 +262,10 @@ def uncertainty(fit: JointFit, conditioning: Conditioning) -> float:
 
 
 def significant_orders(fit: JointFit) -> tuple[int, ...]:
-    """Orders whose coefficients are more than noise; the fundamental always.
+    """Orders whose coefficients exceed noise; always the fundamental.
 
-    The least significant one goes first and the others are corrected for it: two that the
-    samples can hardly separate would otherwise drop each other.
+    The least significant order is dropped first and the others corrected for it: of two orders that the
+    samples hardly separate, one remains.
     """
     orders, values, covariance = fit.waveform.orders, fit.waveform.coefficients.ravel(), fit.covariance
     half = len(values) // 2
@@ -290,8 +291,8 @@ def significant_orders(fit: JointFit) -> tuple[int, ...]:
 def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:
     """Leave out samples far off the curve or the motion, and blocks that do not fit as a whole.
 
-    ``coarse``: only what is far off by any measure: without harmonics, blocks that inform fit worse than
-    standstill.
+    ``coarse``: only beyond COARSE_CYCLES as well, because without harmonics informative blocks fit worse
+    than standstill.
     """
     use = blocks.used
     floor = COARSE_CYCLES * float(np.median(fit.speed[use])) if coarse else 0.0
