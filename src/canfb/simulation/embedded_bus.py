@@ -1,8 +1,8 @@
-"""A CAN bus inside the process, in simulated time: deterministic, without threads or sockets; producers of
-its SYNC: at n T plus a deviation that does not add up, jitter and the rest of the frame on the wire.
+"""A CAN bus inside the process, in simulated time: deterministic, without threads or sockets; SYNC producers.
 
-With a bit rate the lowest CAN-ID that waits goes first, takes its bits / bit rate, and is received at its
-end.
+A SYNC is sent at n T plus a deviation that does not accumulate: jitter, and the wait for the frame on the
+wire. With a bit rate the waiting frame with the lowest CAN-ID is sent first, takes bits / bit rate, and is
+received at its end.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from canfb.device.core import NEVER
 from canfb.device.node import Computing, Device
 
 LONGEST_FRAME_BITS = frame_bits(8)
-CUT_OFF = 4.0  # standard deviations
-LARGEST_PART = 0.45  # of the period: SYNCs keep their order
+CUT_OFF = 4.0  # largest normal jitter, standard deviations
+LARGEST_PART = 0.45  # largest deviation of a SYNC, part of the period: SYNCs keep their order
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,7 @@ def is_sync(frame: Frame, cob_id: int = cob.SYNC) -> bool:
 
 
 class SimulatedDevice:
-    """A device that sends a frame at ``_next_s``, None: none; a subclass overrides what it does beyond."""
+    """A device that sends a frame at ``_next_s`` (None: never); base of the simulated devices."""
 
     _next_s: float | None = None
 
@@ -90,7 +90,7 @@ class SimulatedDevice:
 
 
 class SyncProducer(SimulatedDevice):
-    """Sends a SYNC each ``period_s`` seconds from power-on; those that are overdue are left out."""
+    """Sends a SYNC every ``period_s`` seconds from power-on; overdue ones are skipped."""
 
     def __init__(self, period_s: float, timing: SyncTiming = REGULAR, seed: int = 1) -> None:
         number_in("period_s", period_s, 1e-6, 1e6)
@@ -108,12 +108,12 @@ class SyncProducer(SimulatedDevice):
         return Frame(cob.SYNC, b"")
 
     def _plan(self, now: float) -> None:
-        # 1e-6: the rounding of times up to a day, in the shortest periods.
+        # 1e-6 of a period covers the rounding of times up to a day.
         self._number = max(self._number, int((now - self._start_s) / self._true_s + 1e-6)) + 1
         self._next_s = max(now, self._start_s + self._number * self._true_s + self.deviation_s())
 
     def deviation_s(self) -> float:
-        """How late the next SYNC goes out (negative: early), at most 0.45 periods: they keep their order."""
+        """Delay of the next SYNC (negative: early), limited to LARGEST_PART."""
         timing, rng, largest_s = self._timing, self._rng, LARGEST_PART * self.period_s
         if not (timing.sync_jitter_us or timing.sync_jitter_rms_us or timing.bus_load):
             return 0.0
@@ -129,7 +129,7 @@ POSITION_PDO = struct.Struct("<IHH")  # 6004h, 2011:01 status word, 2011:02 resi
 
 @dataclass
 class Consumed:
-    """What came in the position PDOs, one entry each; positions are unwrapped measuring units."""
+    """The values of the position PDOs received; positions are unwrapped, in measuring units."""
 
     sync_number: list[int] = field(default_factory=list)
     position_units: list[int] = field(default_factory=list)
@@ -138,7 +138,7 @@ class Consumed:
 
 
 class Drive(SyncProducer):
-    """A SYNC producer that begins when it is told to, and unwraps the positions of ``position_cob_id``."""
+    """A SYNC producer, started by `start_sync`, that unwraps the positions of ``position_cob_id``."""
 
     def __init__(
         self,
@@ -177,7 +177,7 @@ class Drive(SyncProducer):
         return []
 
 
-WINDOW_S, WINDOW_SYNCS = 2.0, 100  # over which the rate is taken, whichever is longer
+WINDOW_S, WINDOW_SYNCS = 2.0, 100  # the rate is measured over the longer of the two
 TOLERANCE = 0.02
 AGAIN_S = 60.0
 IN_TRUE_TIME = "; set a lower --rate, or --pace sync"
@@ -185,7 +185,7 @@ IN_SLOW_MOTION = ", and the machine turns slower in proportion"
 
 
 class WatchedSyncProducer(SyncProducer):
-    """Calls ``report``, once a minute at most, if another node sends SYNC or its own rate is off by 2 %."""
+    """Calls ``report``, at most once a minute, if another node sends SYNC or its own rate is off by 2 %."""
 
     def __init__(
         self,
@@ -199,7 +199,7 @@ class WatchedSyncProducer(SyncProducer):
         self._report = report
         self._advice = advice
         self._window_s = max(WINDOW_S, WINDOW_SYNCS * period_s)
-        self._began_s = -math.inf  # of the window; before the first one
+        self._began_s = -math.inf  # start of the window; -inf before the first one
         self._own = self._foreign = 0
         self._said_s = -math.inf
 
@@ -243,18 +243,18 @@ class WatchedSyncProducer(SyncProducer):
             self._report(f"SYNC: {said}")
 
 
-CAN_ID = 0x6E0  # of background traffic: of no node and of no service of CiA 301
+CAN_ID = 0x6E0  # of background traffic: no node and no service of CiA 301 uses it
 MEAN_BITS = sum(frame_bits(size) for size in range(9)) / 9
 HIGHEST_LOAD = 0.95
-INTERFRAME_BITS = 3  # the bus is silent for this long after the end of a frame
+INTERFRAME_BITS = 3  # interframe space after a frame
 
 
-# A frame that waits, and its sender: the lowest CAN-ID first, then the oldest, by a number.
+# CAN-ID, consecutive number, frame and sender: the lowest CAN-ID goes first, then the oldest frame.
 Waiting = tuple[int, int, Frame, Any]
 
 
 class Wire:
-    """A bus of ``bit_rate`` bit/s, one frame at a time, each with the most stuff bits that there can be."""
+    """A bus of ``bit_rate`` bit/s, one frame at a time, each with the largest number of stuff bits."""
 
     def __init__(self, bit_rate: int) -> None:
         integer_in("bit_rate", bit_rate, 10_000, 1_000_000)
@@ -262,8 +262,8 @@ class Wire:
         self._waiting: list[Waiting] = []
         self._numbers = 0
         self._sending: Waiting | None = None
-        self._end_s = 0.0  # of the frame on the wire
-        self._free_s = 0.0  # when the next one may begin
+        self._end_s = 0.0  # end of the frame on the wire
+        self._free_s = 0.0  # time at which the next frame may begin
 
     @property
     def idle(self) -> bool:
@@ -280,7 +280,7 @@ class Wire:
         heappush(self._waiting, (frame.can_id, self._numbers, frame, sender))
 
     def advance(self, now: float) -> tuple[Frame, Any] | None:
-        """Do what happens at ``now``: the frame that has ended, with its time stamp, and its sender."""
+        """Begin or end a frame at ``now``; returns the ended frame, with its time stamp, and its sender."""
         ended = None
         if self._sending is not None and now >= self._end_s:
             _, _, frame, sender = self._sending
@@ -302,8 +302,8 @@ class EmbeddedBus:
     """Delivers every frame to all others, at once or by a :class:`Wire` of ``bit_rate``, 10000..1000000
     bit/s.
 
-    ``now`` is the simulated time, ``bits`` went over the bus, ``observers`` are called with each frame and
-    its time. What a participant computes takes no simulated time; ``computes`` False: never done.
+    ``now`` is the simulated time, ``bits`` the number transmitted; ``observers`` are called with each frame
+    and its time. Jobs of participants take no simulated time; ``computes`` False: they are not run.
     """
 
     def __init__(self, bit_rate: int | None = None) -> None:
@@ -324,9 +324,9 @@ class EmbeddedBus:
         self._deliver(participant, participant.start(self.now))
 
     def send(self, frame: Frame) -> None:
-        """Send a frame from outside; everything it causes happens before the return.
+        """Send a frame from outside; returns after everything that it causes.
 
-        With a bit rate time passes until the bus is idle, at most 1 s, but not from within a participant.
+        With a bit rate time passes until the bus is idle, at most 1 s, except if a participant calls this.
         """
         self._deliver(None, [frame])
         if self._wire is not None and not self._running:
@@ -369,7 +369,7 @@ class EmbeddedBus:
                 self._wire.put(frame, sender)
 
     def _deliver(self, sender: Device | None, frames: list[Frame]) -> None:
-        """These frames, and all that they cause."""
+        """Deliver these frames, and all that they cause."""
         self._put(sender, frames)
         queue = self._queue
         while queue:
@@ -389,7 +389,7 @@ class EmbeddedBus:
 
 
 class BackgroundTraffic(SimulatedDevice):
-    """Frames of 0 to 8 bytes at random times that load a bus for a part ``load`` of the time, 0..0.95."""
+    """Frames of 0 to 8 bytes at random times, with the bus load ``load``, 0..0.95."""
 
     def __init__(self, load: float, bit_rate: int, seed: int = 1) -> None:
         number_in("load", load, 0.0, HIGHEST_LOAD)

@@ -1,5 +1,5 @@
-"""A sine/cosine encoder with the errors that real ones have, its analog path and ADC, on a shaft; motions
-of that as functions of time: ramps with ripple, moves limited in jerk, and one that can be stopped."""
+"""A sine/cosine encoder with realistic errors, analog path and ADC, on a shaft; motions of the shaft as
+functions of time: ramps with ripple, moves with limited jerk, and a motion that can be stopped."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ RevolutionsAt = Callable[[float], float]
 
 @dataclass(frozen=True, kw_only=True)
 class AnalogPath:
-    """Its response at a steady speed.
+    """The analog path, by its response at a constant speed.
 
-    sine_corner_hz, cosine_corner_hz   of a low-pass of one pole on that track, 0.0: none
+    sine_corner_hz, cosine_corner_hz   corner of a one-pole low-pass of the track, 0.0: none
     cosine_delay_s                     the cosine is sampled this much after the sine
-    delay_s                            both tracks come this much late, beside their low-pass
+    delay_s                            delay of both tracks in addition to their low-pass
     """
 
     sine_corner_hz: float = 0.0
@@ -50,7 +50,7 @@ class Harmonic(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class TrackErrors:
-    """Of both tracks, relative to their nominal amplitude A; the cosine track is A cos(x - phase_error)."""
+    """Errors of both tracks, relative to their nominal amplitude A; the cosine is A cos(x - phase_error)."""
 
     sine_offset: float = 0.0
     cosine_offset: float = 0.0
@@ -64,8 +64,8 @@ class Encoder(TrackErrors):
     """Two tracks as functions of the phase, sampled by an ADC.
 
     amplitude_counts                nominal amplitude A of the tracks
-    harmonics                       of either track, relative to its amplitude
-    adc_bits                        4..16; counts are rounded and held at the ends
+    harmonics                       harmonics of either track, relative to its amplitude
+    adc_bits                        4..16; counts are rounded and clipped
     noise_lsb                       rms of Gaussian noise before the ADC, counts, 0..1e6
     ValueError for anything else.
     """
@@ -110,7 +110,7 @@ class Encoder(TrackErrors):
         full, tracks = 1 << (self.adc_bits - 1), np.array(self.tracks(position_cycles, hertz))
         if rng is not None and self.noise_lsb > 0.0:
             tracks += rng.normal(0.0, self.noise_lsb, tracks.shape)
-        # np.clip takes ten times as long for a single number.
+        # np.clip is ten times slower for a single number.
         sine, cosine = np.minimum(np.maximum(np.rint(tracks), -full), full - 1).astype(np.int64)
         return sine, cosine
 
@@ -128,7 +128,7 @@ def _left(
 
 
 def demo_encoder() -> Encoder:
-    """The encoder of ``canfb demo``: every error of a mediocre one at once."""
+    """The encoder of ``canfb demo``: mediocre, with every kind of error."""
     return Encoder(
         amplitude_counts=1500.0,
         sine_offset=0.04,
@@ -142,14 +142,14 @@ def demo_encoder() -> Encoder:
 
 
 BISECTIONS = 40
-SPEED_OVER_S = 1e-5  # of the analog path
+SPEED_OVER_S = 1e-5  # the analog path gets the mean speed over this time before the sample
 
 
 class ShaftEncoder:
     """Samples an encoder at a position of its shaft, with a coarse track and a zero pulse at whole
     revolutions.
 
-    ``aperture_jitter_s`` is the rms of the instant of holding, normal, cut off at four times that.
+    ``aperture_jitter_s`` is the rms jitter of the sampling instant, normal, cut off at four times the rms.
     """
 
     def __init__(
@@ -166,9 +166,9 @@ class ShaftEncoder:
         self._cycles_per_revolution = cycles_per_revolution
         self._rng = np.random.default_rng(seed)
         self._seed = seed
-        self._others = np.random.default_rng((seed, 0xA9))  # coarse track and aperture: noise of their own
+        self._others = np.random.default_rng((seed, 0xA9))  # separate noise for coarse track and aperture
         self._aperture_jitter_s = aperture_jitter_s
-        self._last: tuple[float, float] | None = None  # time and revolutions of the sample before
+        self._last: tuple[float, float] | None = None  # time and revolutions of the previous sample
         self.position_cycles = 0.0  # True position of the last sample, cycles.
 
     def sample(self, time_s: float, revolutions_at: RevolutionsAt) -> Sample:
@@ -199,7 +199,7 @@ class ShaftEncoder:
     def fast_samples(
         self, revolutions: FloatArray, revolutions_per_s: FloatArray, seed: tuple[int, int]
     ) -> npt.NDArray[np.int16]:
-        """Both tracks at these positions, shape (n, 2), ADC counts; ``seed`` is that of the noise."""
+        """Both tracks at these positions, shape (n, 2), ADC counts; ``seed`` determines the noise."""
         rng, cycles = np.random.default_rng((self._seed, *seed)), self._cycles_per_revolution
         tracks = self._encoder.sample(revolutions * cycles, rng, revolutions_per_s * cycles)
         return np.stack(tracks, axis=-1).astype(np.int16)
@@ -231,7 +231,7 @@ class ShaftMotion(Protocol):
 
 
 class PiecewiseCubic:
-    """A function of time in pieces, each a polynomial of degree 3 at most; the last one has no end."""
+    """A piecewise function of time, polynomials of degree <= 3; the last one has no end."""
 
     def __init__(self, speed: float = 0.0) -> None:
         self._starts = [0.0]
@@ -255,7 +255,7 @@ class PiecewiseCubic:
     def go_on(
         self, from_s: float, speed: float | None = None, acceleration: float = 0.0, jerk: float = 0.0
     ) -> None:
-        """From this time on with these; without ``speed`` with that which it has. What was to follow goes."""
+        """Set the motion from ``from_s`` on, by default at the present speed; drops later pieces."""
         value, before = self.state(from_s)
         kept = bisect_right(self._starts, from_s)
         del self._starts[kept:], self._pieces[kept:]
@@ -264,7 +264,7 @@ class PiecewiseCubic:
 
 
 class Ramp(NamedTuple):
-    """A stretch of ``duration_s`` that ends at ``end_rpm``; the speed changes linearly."""
+    """Linear change of the speed to ``end_rpm`` within ``duration_s``."""
 
     duration_s: float
     end_rpm: float
@@ -277,13 +277,13 @@ class Ripple(NamedTuple):
     frequency_hz: float
 
     def swing(self, time_s: npt.ArrayLike) -> FloatArray | float:
-        """In revolutions."""
+        """Its effect on the position, revolutions."""
         omega = 2.0 * math.pi * self.frequency_hz
         return self.size_rpm / 60.0 * (1.0 - np.cos(np.multiply(omega, time_s))) / omega
 
 
 class Motion:
-    """Position over time from ``start_rpm`` through ``ramps``, then on at the last speed; with ripple."""
+    """Position over time: from ``start_rpm`` through ``ramps``, then at the last speed; with ripple."""
 
     def __init__(self, ramps: Iterable[Ramp], ripples: Iterable[Ripple] = (), start_rpm: float = 0.0) -> None:
         self.ramps, self.ripples, self.start_rpm = tuple(ramps), tuple(ripples), start_rpm
@@ -341,13 +341,13 @@ class SCurve:
 
 
 class StoppableMotion:
-    """A motion whose own time is brought to a halt, and on again, within ``ramp_s`` seconds each."""
+    """A motion that can be stopped and resumed: its own time slows down or speeds up within ``ramp_s``."""
 
     def __init__(self, motion: ShaftMotion, ramp_s: float) -> None:
         self._motion, self._ramp_s = motion, ramp_s
         self._own_time = PiecewiseCubic(1.0)
         self._changed_s = 0.0
-        self.running = True  # It runs, or is to run.
+        self.running = True  # The last command: run (or start to run), not stop.
 
     def run(self, running: bool, time_s: float) -> None:
         """Begin to run, or to stop, at ``time_s`` of the machine."""
@@ -367,9 +367,9 @@ class StoppableMotion:
 
 
 class MotionSource:
-    """An encoder on a machine that moves, whether it is sampled or not; its motion is a function of time.
+    """An encoder on a machine whose motion is a function of time, independent of the sampling.
 
-    :meth:`sample_at` samples at a true time, from the first one on; :meth:`next` lets one interval pass.
+    :meth:`sample_at` samples at a true time, relative to the first call; :meth:`next` after one interval.
     """
 
     def __init__(self, shaft: ShaftEncoder, motion: ShaftMotion, interval_s: float) -> None:

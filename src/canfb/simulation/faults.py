@@ -1,6 +1,6 @@
 """Faults of a sine/cosine encoder, its cable, its converter and its bus, as functions of the samples.
 
-They are the fault models that functional safety (IEC 61800-5-2) asks of such encoders::
+They are the fault models that functional safety (IEC 61800-5-2) requires for such encoders::
 
     bad = open_track(Signal.SINE).inject(Samples.of(sine, cosine, adc_bits=12), 300, 360, rng)
 """
@@ -19,8 +19,8 @@ from canfb.checks import integer_in
 from canfb.signal.phase import ArrayLike, BoolArray, FloatArray, IntArray, pair_of_tracks
 
 Rng = np.random.Generator
-# The faulty tracks, from those of the encoder while the fault is present, before the converter, of shape
-# (2, n), and the full scale of the converter, counts.
+# Gives the faulty tracks before the converter; arguments: tracks of the encoder during the fault, shape
+# (2, n), and full scale of the converter, both in counts; random generator.
 Change = Callable[[FloatArray, int, Rng], ArrayLike]
 
 
@@ -34,10 +34,10 @@ class Signal(Enum):
 
 @dataclass(frozen=True)
 class Samples:
-    """Samples as the receiver gets them, one place per sampling interval.
+    """Samples as received, one element per sampling interval.
 
     sine, cosine        ADC counts, int64, zero at mid-scale, shape (n,)
-    delivered           False where no sample came; the counts are then without meaning
+    delivered           False where a sample is missing; its counts are meaningless
     full_scale_counts   2**(adc_bits - 1): counts lie in -full_scale..full_scale - 1
     """
 
@@ -60,7 +60,7 @@ class Samples:
         return np.stack([self.sine[places], self.cosine[places]]).astype(np.float64)
 
     def put(self, span: slice, signal: Signal, faulty: ArrayLike) -> Samples:
-        """With ``faulty`` tracks within ``span`` as the converter makes them: rounded, held at its ends."""
+        """A copy with ``faulty`` tracks within ``span``, rounded and clipped by the converter."""
         full, tracks = self.full_scale_counts, np.where(signal.value, faulty, self.tracks(span))
         counts = np.clip(np.rint(tracks), -full, full - 1).astype(np.int64)
         s, c = self.sine.copy(), self.cosine.copy()
@@ -84,7 +84,7 @@ class Fault:
 
 
 def changed(change: Change, signal: Signal = Signal.BOTH) -> Fault:
-    """Other counts in the span."""
+    """A fault that converts the tracks in the span by ``change``."""
     return Fault(
         lambda samples, span, rng: samples.put(
             span, signal, change(samples.tracks(span), samples.full_scale_counts, rng)
@@ -93,22 +93,22 @@ def changed(change: Change, signal: Signal = Signal.BOTH) -> Fault:
 
 
 def moved(places: Callable[[slice], IntArray], signal: Signal = Signal.BOTH) -> Fault:
-    """The samples of other ``places`` in the span."""
+    """A fault that shows the samples of other ``places`` in the span."""
     return Fault(lambda samples, span, rng: samples.put(span, signal, samples.tracks(places(span))))
 
 
 def last_good(span: slice) -> IntArray:
-    """The place before the span, for each in it."""
+    """The last index before ``span``, repeated for each index of the span."""
     return np.full(span.stop - span.start, max(span.start - 1, 0))
 
 
 def open_track(signal: Signal, noise_lsb: float = 0.0) -> Fault:
-    """A broken wire: the input is pulled to mid-scale, plus what it catches, ``noise_lsb`` counts rms."""
+    """A broken wire: the input is pulled to mid-scale and picks up noise, ``noise_lsb`` counts rms."""
     return changed(lambda tracks, full, rng: rng.normal(0.0, noise_lsb, tracks.shape), signal)
 
 
 def shorted_track(signal: Signal, high: bool) -> Fault:
-    """A track short-circuited to a supply: the converter stands at its upper or lower end."""
+    """A track short-circuited to a supply: the converter shows its upper or lower end."""
     return changed(lambda tracks, full, rng: full - 1 if high else -full, signal)
 
 
@@ -120,7 +120,7 @@ def stuck_track(signal: Signal, counts: float | None = None) -> Fault:
 
 
 def joined_tracks() -> Fault:
-    """Both tracks short-circuited to each other: both show their mean."""
+    """Tracks short-circuited to each other: both show their mean."""
     return changed(lambda tracks, full, rng: tracks.mean(axis=0))
 
 
@@ -146,7 +146,7 @@ def track_drift(
     """Offset, gain and phase of the tracks drift: a slow ramp that ends at these values.
 
     sine_offset, cosine_offset   counts, added
-    sine_gain, cosine_gain       the tracks are multiplied by them; 1 changes nothing
+    sine_gain, cosine_gain       factors of the tracks; 1: no change
     phase_rad                    the cosine track becomes A cos(x - phase_rad)
     ramp_samples                 intervals until the end values, at least 1: ValueError
     """
@@ -165,7 +165,7 @@ def track_drift(
 def oscillation(
     signal: Signal, amplitude_counts: float, periods_per_sample: float, shift_rad: float = 0.0
 ) -> Fault:
-    """A sine added, the same on both tracks: an amplifier that oscillates, a hum that couples in.
+    """The same sine added to the tracks: an oscillating amplifier, or coupled hum.
 
     ``periods_per_sample`` is its frequency as sampled.
     """
@@ -178,5 +178,5 @@ def oscillation(
 
 
 def frozen_samples() -> Fault:
-    """The last good sample comes again and again."""
+    """The last good sample is repeated."""
     return moved(last_good)

@@ -1,4 +1,4 @@
-"""What ``canfb simulate`` plays: an encoder and a motion, as the configuration has them."""
+"""The section ``simulation:`` of the configuration: the encoder and the motion of ``canfb simulate``."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ class SimulationConfig(SyncTiming):
         return SampleClock(self.clock_drift_ppm, random.Random(self.seed).getrandbits(32))
 
 
-# Which class each key of the section holds.
+# The class of each key of the section.
 SECTION: dict[str, Any] = {
     "simulation": SimulationConfig,
     "encoder": EncoderScenario,

@@ -1,7 +1,7 @@
-"""What ``canfb simulate`` puts on a bus: the encoder interface, and what moves the encoder; what that asks
-of the module at a SYNC rate, against what eq. 9 follows (eq. 10).
+"""The devices of ``canfb simulate``: the encoder interface, and what moves the encoder; and the demand of the
+motion on the module at a SYNC rate, compared to what eq. 9 follows (eq. 10).
 
-Devices take each frame in the order of the list: first the machine, then the interface, then the others.
+Devices receive each frame in the order of the list: first the machine, then the interface, then the others.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ from canfb.sources.protocol import Source
 from canfb.sources.recording_source import RecordingLayout, RecordingSource, open_recording
 from canfb.sources.sample_files import with_gaps
 
-HALF_CYCLE = 0.5  # at the start the count takes the shortest step
+HALF_CYCLE = 0.5  # cycles per sample: the first step is taken as the shortest one
 
 
 @dataclass(frozen=True)
 class MotionDemand:
     """The largest speed and acceleration of a motion, and the module that has to follow them.
 
-    what                  what moves, for people
+    what                  name of the motion, for messages
     rate_hz               samples per second
     speed_cycles          largest speed, cycles per sample
     acceleration_rad_s2   largest acceleration
     start_cycles          speed at the first sample, cycles per sample
-    advice                what to change but the rate, empty for nothing
+    advice                what to change instead of the rate; empty: nothing
     errors_cycles         part of the residual limit for the errors of the encoder
     per_sync              samples for each SYNC
     at                    the demand at another rate: a short ramp is steeper
@@ -75,7 +75,7 @@ class MotionDemand:
 
     @property
     def left_rad_s2(self) -> float:
-        """What eq. 10 allows beside the errors of the encoder; 0.0 if they need the whole limit."""
+        """Acceleration that eq. 10 allows with the errors of the encoder; 0.0 if they exhaust the limit."""
         return self.allowed_rad_s2 * max(0.0, 1.0 - self.errors_cycles / self.module.residual_limit)
 
     @property
@@ -90,7 +90,7 @@ class MotionDemand:
 
     @property
     def followed(self) -> MotionDemand:
-        """At the least rate at which the module follows it, if there is one."""
+        """The demand at the lowest rate at which the module follows it; unchanged if none is known."""
         if self.at is None or not 1.0 + ROUNDING < self.asked < math.inf:
             return self
         return self.at(self.rate_hz * math.sqrt(self.asked)).followed
@@ -139,13 +139,13 @@ class MotionDemand:
 def of_motion(
     motion: MotionConfig, module: ChainConfig, rate_hz: float, *, sampled: bool = False
 ) -> MotionDemand:
-    """Of the configuration; ``sampled``: of ripple what samples show."""
+    """Demand of a configured motion; ``sampled``: count only ripple that the samples show."""
     cycles = module.cycles_per_revolution / 60.0 / rate_hz  # per sample, for one rpm
     in_motion = motion.standstill_s * rate_hz < 1.0 and motion.ramp_s * rate_hz < 1.0
-    # A ramp that is shorter than an interval is a step of the speed between two samples.
+    # A ramp shorter than an interval is a speed step between two samples.
     steepest = 0.0 if in_motion else min(rate_hz, 1.0 / motion.ramp_s if motion.ramp_s else math.inf)
     omega = 2.0 * math.pi * motion.ripple_hz
-    # The second difference of three places of a sine is at most four times its amplitude.
+    # The second difference of three samples of a sine is at most four times its amplitude.
     ripple = abs(motion.ripple_rpm) * (min(omega, 4.0 * rate_hz * rate_hz / omega) if sampled else omega)
     return MotionDemand(
         f"motion: {motion.rpm:g} rpm",
@@ -161,7 +161,7 @@ def of_motion(
 
 
 def of_drive(motor: DriveConfig, objects: Dictionary, module: ChainConfig, rate_hz: float) -> MotionDemand:
-    """What a drive with these objects asks at most: its largest speed; all its torque, to brake as well."""
+    """Largest demand of a drive with these objects: its largest speed, and braking with all its torque."""
     passive = motor.coulomb_friction_nm + abs(motor.load_torque_nm)
     able = (passive + max(motor.rated_torque_nm, motor.brake_torque_nm)) / motor.inertia_kg_m2
     speed = objects.entry(*MOST_RPM).value / 60.0 * module.cycles_per_revolution / rate_hz
@@ -178,7 +178,7 @@ def of_drive(motor: DriveConfig, objects: Dictionary, module: ChainConfig, rate_
 def of_recording(
     sine: FloatArray, cosine: FloatArray, module: ChainConfig, rate_hz: float, name: str
 ) -> MotionDemand:
-    """Tracks in counts, NaN where a sample is missing, by the smallest acceleration that fits the phases."""
+    """Demand of tracks in counts (NaN: missing sample), with the least acceleration that fits the phases."""
     step = np.diff(np.asarray(phase_in_cycle(*module.conditioning.apply(sine, cosine)), np.float64))
     bend = np.diff(step)
     bend = np.where(np.isnan(bend), 0.0, bend - np.rint(bend))  # the residual of eq. 12, with its sign
@@ -192,7 +192,7 @@ def of_recording(
 
 
 def rounded_up(rate_hz: float) -> str:
-    """A rate not below this one, which is above 0, in two or three figures."""
+    """``rate_hz`` (> 0), rounded up to two or three figures."""
     unit = 10.0 ** (math.floor(math.log10(rate_hz)) - 1)
     return f"{math.ceil(rate_hz / unit - 1e-9) * unit:g}"
 
@@ -203,7 +203,7 @@ MOST_RPM = (0x6080, 0)
 def simulated_axis(
     simulation: SimulationConfig, module: ModuleConfig, *, autostart: bool = False
 ) -> tuple[ServoDrive, PlantSource] | None:
-    """A drive with its motor, and the encoder on the shaft."""
+    """The drive with its motor, and the encoder on the shaft; None without a drive."""
     settings = simulation.drive
     if settings is None:
         return None
@@ -215,7 +215,7 @@ def simulated_axis(
 
 
 class SampleRecorder(SimulatedDevice):
-    """Keeps the sample of each SYNC from the first one on; attach it behind the ``interface``."""
+    """Records the sample of each SYNC from the first one on; attach it after the ``interface``."""
 
     def __init__(self, interface: EncoderInterface) -> None:
         self._interface = interface
@@ -243,9 +243,10 @@ class SampleRecorder(SimulatedDevice):
 
 
 class SlowMotion(SimulatedDevice, TimeBase):
-    """A time base: one nominal interval with each SYNC, however late it is. Attach it before its nodes.
+    """A time base that advances by the nominal interval at each SYNC, however late; attach it first.
 
-    ``dictionary`` of the node that samples: 1005h, and 1006h for the interval; ``interval_s`` while it is 0.
+    The ``dictionary`` of the sampling node gives the CAN-ID of SYNC (1005h) and the interval (1006h; if this
+    is 0, ``interval_s``).
     """
 
     def __init__(self, dictionary: Dictionary, interval_s: float) -> None:
@@ -264,7 +265,7 @@ class SlowMotion(SimulatedDevice, TimeBase):
 
 
 def let_machine_stop(interface: EncoderInterface) -> None:
-    """Object 2060h of the interface: 1 lets its machine run, 0 stops it. Only a motion can be stopped."""
+    """Connect object 2060h of the interface: 1 starts its machine, 0 stops it. Only a motion can stop."""
     source, entry = interface.source, interface.dictionary.entry(*od.INTERFACE_MACHINE)
     if not isinstance(source, MotionSource) or not isinstance(source.motion, StoppableMotion):
         return
@@ -281,12 +282,12 @@ def let_machine_stop(interface: EncoderInterface) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Play:
-    """What is played, beside the ``simulation:`` section.
+    """Options of a run, beside the ``simulation:`` section.
 
-    rate_hz     produce the SYNC at this rate; None: follow that of the bus
+    rate_hz     produce the SYNC at this rate; None: follow the SYNC of the bus
     autostart   operational without a master
-    recorded    record what is sampled
-    file        a recording in place of the motion, with its ``layout``
+    recorded    record the samples
+    file        a recording instead of the motion, with its ``layout``
     """
 
     rate_hz: float | None = None
@@ -298,11 +299,11 @@ class Play:
 
 @dataclass(frozen=True)
 class SimulatedNetwork:
-    """The devices, in the order in which they take frames.
+    """The devices, in the order in which they receive frames.
 
-    demand     what the motion asks of the module, None: not known
-    recorder   what is sampled, if recorded
-    rate_hz    the nominal rate of the SYNC
+    demand     demand of the motion on the module, None: not known
+    recorder   records the samples, if requested
+    rate_hz    nominal rate of the SYNC
     """
 
     interface: EncoderInterface
@@ -316,9 +317,9 @@ class SimulatedNetwork:
 def set_up(
     simulation: SimulationConfig, module: ModuleConfig, play: Play, report: Callable[[str], None]
 ) -> SimulatedNetwork:
-    """All of it, powered off; ``report`` gets a line on what is wrong on the bus.
+    """The whole network, not started; ``report`` gets a line on each problem of the bus.
 
-    CanfbError for a recording that cannot be used, ConfigError for a drive that cannot be.
+    CanfbError for an unusable recording, ConfigError for an impossible drive.
     """
     rate_hz = sync_rate(simulation, play.rate_hz)
     axis = simulated_axis(simulation, module, autostart=play.autostart or module.autostart)
@@ -358,7 +359,7 @@ def source_of(simulation: SimulationConfig, module: ModuleConfig, play: Play) ->
     interval_s = 1.0 / sync_rate(simulation, play.rate_hz)
     if play.file is not None:
         timed = play.layout.time_column is not None or play.rate_hz is not None
-        # The samples of a recording are as regular as they were, however the SYNC jitters that asks for them.
+        # Jitter of the SYNC that plays a recording does not change the instants of its samples.
         layout = replace(
             play.layout,
             time_stamps=module.times and timed,

@@ -1,4 +1,4 @@
-"""The motion of the drive: units, position demand, and their objects; the position loop that follows it.
+"""The motion of the drive: units, position demand, their objects, and the position loop.
 
 The loop: proportional position controller, PI velocity controller, feed-forward, limits.
 """
@@ -41,17 +41,17 @@ class Trajectory:
         before = self.speed
         self.speed = math.copysign(max(0.0, abs(before) - deceleration * period_s), before)
         if self.speed == 0.0:
-            # What is left of the speed ends within the period.
+            # The shaft stops within the period, after before^2 / (2 deceleration).
             self.position += before * abs(before) / (2.0 * deceleration) if deceleration > 0.0 else 0.0
         else:
             self.position += (before + self.speed) / 2.0 * period_s
         return self.speed == 0.0
 
 
-VELOCITY_BANDWIDTH = 0.2  # of 1 / period: what the delays of sampling, torque and difference leave
-POSITION_BANDWIDTH = 0.25  # of that of the velocity loop
+VELOCITY_BANDWIDTH = 0.2  # times 1 / period, limited by the delays of sampling, torque and differentiation
+POSITION_BANDWIDTH = 0.25  # times the bandwidth of the velocity loop
 INTEGRAL_PERIODS = 40.0
-BRAKING_SHARE = 0.7  # of the torque, for coming down to a target that is far away
+BRAKING_SHARE = 0.7  # part of the largest torque that is used to brake towards a distant target
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Gains:
 
 
 def chosen_gains(gains: Gains, period_s: float) -> Gains:
-    """The gains with those that are 0 chosen from the inertia and the time between two positions."""
+    """The gains; zeros are replaced by values from the inertia and the time between two positions."""
     bandwidth = VELOCITY_BANDWIDTH / period_s
     return Gains(
         gains.position or POSITION_BANDWIDTH * bandwidth,
@@ -81,7 +81,7 @@ def chosen_gains(gains: Gains, period_s: float) -> Gains:
 
 @dataclass(frozen=True)
 class Demand:
-    """Where the shaft is to be: revolutions, rad/s, rad/s^2."""
+    """Set-point of the shaft: revolutions, rad/s, rad/s^2."""
 
     revolutions: float
     speed_rad_s: float = 0.0
@@ -89,14 +89,14 @@ class Demand:
 
 
 class PositionLoop:
-    """From demand and position to the torque."""
+    """Computes the torque from demand and position."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
         self._integral_nm = 0.0
-        self.limited = False  # the torque, or the speed, in the last step
+        self.limited = False  # whether the last step limited torque or speed
 
     def step(
         self,
@@ -109,7 +109,7 @@ class PositionLoop:
         torque_limit_nm: float,
         speed_limit_rad_s: float,
     ) -> float:
-        """The torque in Nm, for one position. The gains are all chosen, the period is more than 0 s."""
+        """The torque in Nm for one position. ``gains`` as of :func:`chosen_gains`, ``period_s`` > 0."""
         error = 2.0 * math.pi * (demand.revolutions - revolutions)
         braking = BRAKING_SHARE * torque_limit_nm / gains.inertia_kg_m2
         requested = gains.velocity_forward * demand.speed_rad_s + approach(error, gains.position, braking)
@@ -120,15 +120,15 @@ class PositionLoop:
         unlimited = proportional + self._integral_nm + forward
         torque = max(-torque_limit_nm, min(torque_limit_nm, unlimited))
         self.limited = torque != unlimited or speed != requested
-        if torque == unlimited or deviation * unlimited < 0.0:  # never further into the limit
+        if torque == unlimited or deviation * unlimited < 0.0:  # anti-windup: not further into the limit
             self._integral_nm += proportional * period_s / gains.integral_s
             self._integral_nm = max(-torque_limit_nm, min(torque_limit_nm, self._integral_nm))
         return torque
 
 
 def approach(error: float, gain: float, braking: float) -> float:
-    """``gain`` times the ``error`` (rad), but no faster than the motor brakes (``braking``, rad/s^2), by a
-    square root.
+    """Speed towards the target, rad/s: ``gain`` x ``error`` (rad), and for large errors the square root from
+    which the motor can brake at ``braking`` (rad/s^2).
     """
     near = braking / (gain * gain)
     if abs(error) <= near:
@@ -137,7 +137,7 @@ def approach(error: float, gain: float, braking: float) -> float:
 
 
 CYCLIC_SYNCHRONOUS_POSITION = 8
-OFF = 0xFFFFFFFF  # 6065h: no window.
+OFF = 0xFFFFFFFF  # 6065h: following error not supervised.
 KG_M2_PER_G_CM2 = 1e-7
 STANDSTILL_REV_S = 0.02
 
@@ -145,8 +145,8 @@ STANDSTILL_REV_S = 0.02
 class Axis:
     """Computes while the drive has power: :meth:`advance` at each SYNC, :meth:`control` with each position.
 
-    Positions are in units of 608Fh, of any size; the objects show them as INTEGER32, which wraps. A target is
-    the nearest to the demand of all positions with its value.
+    Positions are in units of 608Fh and unbounded; the objects show them modulo 2^32, as INTEGER32. A target
+    means the position nearest to the demand that has this value.
     """
 
     def __init__(
@@ -159,9 +159,9 @@ class Axis:
         self.scaling = Scaling(dictionary)
         self._feedback = feedback
         self._loop = PositionLoop()
-        # Of an encoder on the motor in a revolution, which 6063h is of then; 0: there is none.
+        # Increments per revolution of an encoder on the motor, then shown in 6063h; 0: no such encoder.
         self._motor_increments = motor_increments
-        self._on_mode = on_mode  # Called when 6060h was written.
+        self._on_mode = on_mode  # Called after 6060h is written.
         self._trajectory = Trajectory()
         entry = dictionary.entry
         self._target, self._mode, self._display = entry(0x607A), entry(0x6060), entry(0x6061)
@@ -195,13 +195,13 @@ class Axis:
         return self._trajectory.speed == 0.0
 
     def start(self) -> None:
-        """The power goes on: hold the present position, not 607Ah."""
+        """At power-on: hold the present position, not 607Ah."""
         self._loop.reset()
         self._place()
         self._new_target = self._braking = False
         self._outside_since_s = math.inf
         self._demand = Demand(self._trajectory.position / self.scaling.units)
-        self._demanded_rad_s = 0.0  # speed of the demand as it comes, before it is limited
+        self._demanded_rad_s = 0.0  # speed of the demand before it is limited
         self._limited = False
 
     def ramp_down(self, *, from_actual: bool = False) -> None:
@@ -210,7 +210,7 @@ class Axis:
         self._braking = True
 
     def advance(self, period_s: float) -> None:
-        """A SYNC: the position demand of this cycle, ``period_s`` seconds after the one before."""
+        """At a SYNC: compute the position demand, ``period_s`` seconds after the previous one."""
         before = self._trajectory.position
         self._move(period_s)
         units = self.scaling.units
@@ -248,7 +248,7 @@ class Axis:
 
     def follows_badly(self, now: float) -> bool:
         self._outside_since_s = min(self._outside_since_s, now) if self._is_outside() else math.inf
-        # Sums of times round: a whole number of periods must count as such.
+        # 1e-9: a sum of whole periods must not miss the limit by rounding.
         return bool(now - self._outside_since_s >= self._error_time.value / 1000.0 - 1e-9)
 
     def power_off(self) -> None:
@@ -283,7 +283,9 @@ class Axis:
         self._new_target = False
 
     def _forward(self, revolutions: float, speed_rad_s: float, period_s: float) -> Demand:
-        """What is fed forward: a target that jumps, or comes twice after a lost SYNC, is not a motion."""
+        """The demand with feed-forward. Speed and acceleration are limited to those possible: a target may
+        jump, or repeat after a lost SYNC.
+        """
         limit = self.scaling.largest_torque_nm / (self._gains[4].value * KG_M2_PER_G_CM2)
         acceleration = (speed_rad_s - self._demanded_rad_s) / period_s
         self._demanded_rad_s = speed_rad_s
@@ -324,7 +326,7 @@ _HALF, _FULL = 1 << 31, 1 << 32
 
 
 def wrapped(value: int) -> int:
-    """The INTEGER32 that a count of any size shows as: it wraps."""
+    """``value`` modulo 2^32, as INTEGER32."""
     return (value + _HALF) % _FULL - _HALF
 
 
@@ -337,13 +339,13 @@ def saturated(value: float, bits: int) -> int:
 
 
 def nearest(target: int, reference: float) -> int:
-    """The position, of those that show as the INTEGER32 ``target``, that is next to ``reference``."""
+    """The position nearest to ``reference`` that equals ``target`` modulo 2^32."""
     place = round(reference)
     return place + wrapped(target - place)
 
 
 class Scaling:
-    """Reads the objects that say what a unit is."""
+    """Reads the objects that define the units."""
 
     def __init__(self, dictionary: Dictionary) -> None:
         entry = dictionary.entry

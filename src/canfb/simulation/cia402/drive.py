@@ -1,4 +1,4 @@
-"""A servo drive of CiA 402 on the bus: defaults, state machine, faults, and the node that carries them."""
+"""A CiA 402 servo drive as a node: defaults, state machine and faults."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ COAST, QUICK_STOP_RAMP = 0, 2  # 605Eh
 ABORT_CONNECTION = {1: Command.FAIL, 2: Command.DISABLE_VOLTAGE, 3: Command.QUICK_STOP}  # 6007h
 U32 = 0xFFFFFFFF
 G_CM2_PER_KG_M2 = 1e7
-STOP_TIMEOUT_S = 0.5  # After a ramp the shaft has this time to come to rest; then the power goes off.
+STOP_TIMEOUT_S = 0.5  # Time for the shaft to come to rest after a ramp; then the power is switched off.
 
 
 class ServoDrive(MachineNode):
     """A drive, sans-I/O, that turns the motor of ``plant`` by the positions of a feedback ``module``.
 
-    Attach the plant to the bus first. Its configuration and the module set defaults: a reset comes back to
-    these.
+    Attach the plant to the bus first. Its configuration and the module determine the defaults, which a reset
+    restores.
     """
 
     def __init__(self, plant: Plant, module: ModuleConfig | None = None, *, autostart: bool = False) -> None:
@@ -85,7 +85,7 @@ class ServoDrive(MachineNode):
 
     @property
     def interval_s(self) -> float:
-        """Seconds from SYNC to SYNC: 1006h, else measured; 0.0 while it is not known."""
+        """SYNC period, seconds: 1006h, else measured; 0.0 while unknown."""
         return float(self._period.value / 1e6) or self._interval.seconds
 
     @property
@@ -98,7 +98,7 @@ class ServoDrive(MachineNode):
 
     def overdue(self, now: float) -> None:
         self._fail(DriveError.SYNC_CONTROLLER)
-        self._switch(Command.RAMP_DONE)  # a ramp needs the SYNC as well
+        self._switch(Command.RAMP_DONE)  # without SYNC there is no ramp either
 
     def can_ids(self) -> CanIds:
         data, remote = super().can_ids()
@@ -156,14 +156,14 @@ class ServoDrive(MachineNode):
         if self.power in SWITCHED_ON:
             position = wrong & (Wrong.RANGE | Wrong.STEP)
             self._fail(DriveError.POSITION_SENSOR if position else DriveError.INCREMENTAL_SENSOR)
-        elif self.power is State.FAULT_REACTION_ACTIVE:  # no ramp without a position
+        elif self.power is State.FAULT_REACTION_ACTIVE:  # a ramp requires a position
             self._switch(Command.RAMP_DONE)
 
     def _fail(self, error: DriveError) -> None:
         if not self._machine.go(Command.FAIL):
             return
         self._error.value = int(error)
-        if error is not DriveError.HEARTBEAT:  # which the node announces itself
+        if error is not DriveError.HEARTBEAT:  # the node has reported that one itself
             self._announce(error)
         self._show()
         if error is DriveError.FOLLOWING_ERROR and self._fault_option.value == QUICK_STOP_RAMP:
@@ -222,7 +222,7 @@ class ServoDrive(MachineNode):
         self._abort_connection(DriveError.HEARTBEAT)
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """The feedback is lost with a change; the power goes off with the end of OPERATIONAL."""
+        """Any change invalidates the feedback; leaving OPERATIONAL switches the power off."""
         super().state_changed(old, new, now, why)
         self.feedback.lose()
         if new is NmtState.OPERATIONAL:
@@ -230,8 +230,8 @@ class ServoDrive(MachineNode):
                 self.trigger_tpdo(number, now)
         elif old is NmtState.OPERATIONAL:
             self._abort_connection(DriveError.COMMUNICATION)
-            if self.power in POWERED:  # no SYNC, no position: nothing may turn
-                self._switch(Command.RAMP_DONE)  # a fault reaction takes no other command
+            if self.power in POWERED:  # no SYNC and no position: the motor must have no torque
+                self._switch(Command.RAMP_DONE)  # the only command that a fault reaction accepts
                 self._switch(Command.DISABLE_VOLTAGE)
         self._show()
 
@@ -245,7 +245,7 @@ class ServoDrive(MachineNode):
             self._switch(command)
 
     def reset_done(self, communication_only: bool, now: float) -> None:
-        """Power-on of the drive; after a reset of the communication a fault is announced again."""
+        """Power-on of the drive; after a reset of the communication report a fault again."""
         self._interval = SyncInterval()
         self.feedback.reset()
         if not communication_only:
@@ -279,11 +279,11 @@ class ServoDrive(MachineNode):
 
 
 class DriveError(IntEnum):
-    """Why there is a fault."""
+    """Error codes of the drive (603Fh)."""
 
     NONE = 0x0000
-    INCREMENTAL_SENSOR = 0x7305  # the feedback says that it is not valid, or is missing
-    POSITION_SENSOR = 0x7320  # a position that cannot be
+    INCREMENTAL_SENSOR = 0x7305  # the feedback reports that it is not valid, or is missing
+    POSITION_SENSOR = 0x7320  # an impossible position
     COMMUNICATION = 0x8100  # NMT has taken the drive out of Operational
     HEARTBEAT = 0x8130
     FOLLOWING_ERROR = 0x8611
@@ -300,7 +300,7 @@ def _defaults(config: DriveConfig, module: ModuleConfig | None) -> Values:
         defaults |= {
             (0x1403, 1): cob.TPDO1 + module.node_id,
             (0x1403, 2): 1 if config.synchronous_feedback else 255,
-            (0x2110, 5): scale[od.TOTAL_RANGE],  # without scaling, too
+            (0x2110, 5): scale[od.TOTAL_RANGE],  # applies without scaling, too
             (0x2110, 7): cob.EMERGENCY + module.node_id,
             (0x60E6, 1): scale[od.UNITS_PER_REVOLUTION],
         }

@@ -15,7 +15,7 @@ MOST_OPEN = 256
 
 
 class Wrong(IntFlag):
-    """What is wrong with the feedback now: 2111:01."""
+    """The present errors of the feedback, bits of 2111:01."""
 
     STATUS = 0x01
     MISSING = 0x02
@@ -27,10 +27,10 @@ class Wrong(IntFlag):
 class FeedbackInput:
     """Takes 60E4:01 with its status word 2110:01, once for each RPDO.
 
-    A position is used if the status word is as 2110:02 and :03 require, within its range (2110:05), and
-    within reach of the last one, whose difference is wrapped to ± half the range. The first one counts from
-    -range/2, so that a machine a little below zero is not at the far end. Until it comes the feedback is
-    missing.
+    A position is used if the status word is as 2110:02 and :03 require, if it is within its range (2110:05),
+    and if the step from the last one, wrapped to ± half the range, is possible. The first one is taken as
+    -range/2..range/2, so that a machine a little below zero is not at the far end. Until then the feedback
+    counts as missing.
     """
 
     def __init__(self, dictionary: Dictionary) -> None:
@@ -41,7 +41,7 @@ class FeedbackInput:
         self._largest = entry(0x2110, 9)
         self._increments, self._turns = entry(0x60E6, 1), entry(0x60EB, 1)
         self._wrong, self._used, self._missed = (entry(0x2111, sub) for sub in (1, 2, 3))
-        entry(0x2110, 4)  # the residual: there to be read
+        entry(0x2110, 4)  # the residual of the module, mapped for reading only
         self.position = 0  # Increments of the feedback, unwrapped.
         self.reset()
 
@@ -54,13 +54,13 @@ class FeedbackInput:
         self.lose()
 
     def lose(self) -> None:
-        """No position can come any more, or none could so far; what an EMCY has said stays."""
+        """No position can arrive: the feedback is missing. An error reported by EMCY persists."""
         self._wrong.value = self.wrong & Wrong.EMERGENCY | Wrong.MISSING
         self._last: int | None = None
         self._since_pdo = 0  # SYNCs since the last PDO
-        self._open = 0  # SYNCs whose positions have not come, since the last one that was used
-        self._syncs: list[float] = [math.nan]  # times of that one and of the open ones, the last 256
-        self.speed = 0.0  # Revolutions per second, the mean over the last interval, in true time.
+        self._open = 0  # SYNCs after the one of the last used position: no position for them yet
+        self._syncs: list[float] = [math.nan]  # times of the last used SYNC and of the open ones, at most 256
+        self.speed = 0.0  # Revolutions per second, mean over the last interval, in true time.
 
     @property
     def increments_per_revolution(self) -> float:
@@ -97,10 +97,10 @@ class FeedbackInput:
         self._last = None
 
     def take(self, largest_speed: float, interval_s: float, *, supervised: bool) -> bool:
-        """A PDO stands in the dictionary; True if its position is used.
+        """Evaluate the PDO in the dictionary; True if its position is used.
 
-        ``largest_speed`` (revolutions/s) bounds the step; one beyond it is a fault if ``supervised``, else a
-        new beginning, as after a preset.
+        ``largest_speed`` (revolutions/s) bounds the step; a larger one is a fault if ``supervised``, else a
+        restart, as after a preset.
         """
         self._since_pdo = 0
         self._wrong.value &= Wrong.EMERGENCY
@@ -123,13 +123,13 @@ class FeedbackInput:
         bound = self._bound(largest_speed, interval_s) * max(1, self._open)
         too_far = known and bound > 0 and abs(step) > bound
         if known and self._open == 0:
-            if not too_far:  # one more than there were SYNCs, or the one before was taken for a later
+            if not too_far:  # more positions than SYNCs, or the last one was assigned to a later SYNC
                 self.position += step
                 self._last = raw
             return False
         if too_far and supervised:
             self._wrong.value |= Wrong.STEP
-            self._last = None  # from here on, when it is believed again
+            self._last = None  # the next accepted position restarts the count
             return False
         self.position += step
         self._last = raw
@@ -143,7 +143,7 @@ class FeedbackInput:
     def _differentiate(self, step: float, interval_s: float) -> None:
         """Speed from a step in revolutions, over the true time between the two SYNCs.
 
-        Where positions are late or lost, over the number of intervals that changes the speed least.
+        If positions are late or lost, the number of intervals that changes the speed least is taken.
         """
         begin = self._syncs[0]
 
@@ -163,11 +163,11 @@ class FeedbackInput:
         return 2.0 * largest_speed * interval_s * self.increments_per_revolution
 
 
-RECENT = 15  # SYNCs: more than half of them are a new rate
+RECENT = 15  # intervals of the median: more than half of them must have a new rate
 
 
 class SyncInterval:
-    """The time between two SYNCs, without pauses and late ones; 0.0 before the second one."""
+    """Median time between two SYNCs, insensitive to pauses and late SYNCs; 0.0 before the second one."""
 
     def __init__(self) -> None:
         self.last_s: float | None = None

@@ -21,11 +21,11 @@ from canfb.simulation.encoder import ShaftEncoder
 
 LONGEST_STEP_S = 1e-4
 LONG_S = 0.1
-REMEMBERED_STEPS = 256  # where an encoder may still look back to
-SETTLED = 50.0  # time constants after which the torque is its command, to the last digit
+REMEMBERED_STEPS = 256  # steps in which an encoder may look up a past position
+SETTLED = 50.0  # time constants after which the torque equals its command, to the last digit
 
 
-SLIP_S = 0.5  # it begins and ends gently, so that the tracks of the encoder show nothing of it
+SLIP_S = 0.5  # duration of a slip: slow enough that the tracks of the encoder do not reveal it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +86,7 @@ class DriveConfig:
         )
 
     def slipped(self, time_s: float) -> float:
-        """How far the encoder has fallen behind the motor, revolutions."""
+        """Lag of the encoder behind the motor, revolutions."""
         part = min(1.0, max(0.0, (time_s - self.slip_at_s) / SLIP_S))
         return self.slip_revolutions * (1.0 - math.cos(math.pi * part)) / 2.0
 
@@ -105,7 +105,7 @@ class Motor:
         self._steps: deque[tuple[float, float, float]] = deque(maxlen=REMEMBERED_STEPS)
 
     def revolutions_before(self, seconds: float) -> float:
-        """Position this many seconds ago, or, negative, ahead: then at the present speed."""
+        """Position ``seconds`` ago; if negative, ahead: extrapolated at the present speed."""
         instant_s, after = self.time_s - seconds, (self.time_s, self.revolutions, self.speed_rad_s)
         if seconds > 0.0:
             for before in reversed(self._steps):
@@ -116,13 +116,13 @@ class Motor:
         return revolutions - speed_rad_s * (at_s - instant_s) / (2.0 * math.pi)
 
     def run(self, duration_s: float) -> None:
-        """Let this many seconds pass, 0 or more; ValueError for a time that goes back."""
+        """Advance by ``duration_s`` >= 0; ValueError if negative."""
         number_in("duration_s", duration_s, 0.0, LARGEST)
         if duration_s == 0.0:
             return
         left_s = duration_s - max(LONG_S, SETTLED * self.config.torque_time_constant_s)
         if left_s > 0.0 and not self.time_s < self.config.load_at_s < self.time_s + duration_s:
-            # A long pause: once the torque has settled nothing changes, and one step is as exact as many.
+            # A long pause: once the torque has settled it is constant, and one step is as exact as many.
             self.run(duration_s - left_s)
             self._step(left_s)
             return
@@ -136,7 +136,7 @@ class Motor:
         self._steps.append((self.time_s, self.revolutions, self.speed_rad_s))
         lag = self.config.torque_time_constant_s
         change = self.command_nm - self.torque_nm
-        # The mean over the step drives the shaft: the torque itself may settle much faster than a step.
+        # The mean torque over the step drives the shaft, because it may settle much faster than a step.
         kept = math.exp(-step_s / lag) if lag > 0.0 else 0.0
         mean = self.command_nm - change * (lag / step_s * (1.0 - kept) if lag > 0.0 else 0.0)
         self.torque_nm = self.command_nm - change * kept
@@ -173,7 +173,7 @@ class Motor:
             self.config.inertia_kg_m2,
             self.speed_rad_s,
         )
-        if viscous * time_s < 1e-6 * inertia:  # the exponential would lose digits that this line has
+        if viscous * time_s < 1e-6 * inertia:  # the exponential would lose digits; the line is exact enough
             self.speed_rad_s = speed + (net_nm - viscous * speed) / inertia * time_s
             angle = (speed + self.speed_rad_s) / 2.0 * time_s
         else:
@@ -196,9 +196,9 @@ def _cubic(before: tuple[float, float, float], after: tuple[float, float, float]
 
 
 class Plant(SimulatedDevice):
-    """A motor that turns in the time of ``time_base`` from the first SYNC on, also while no SYNC comes.
+    """A motor that runs in the time of ``time_base`` from the first SYNC on, also without further SYNCs.
 
-    It must get the SYNC before those who sample or drive it: attach it first.
+    It must receive a SYNC before the devices that sample or drive it: attach it first.
     """
 
     def __init__(self, motor: Motor) -> None:
@@ -206,10 +206,10 @@ class Plant(SimulatedDevice):
         self.syncs = 0
         self.time_base = TimeBase()
         self.sync_cob_id: Callable[[], int] = lambda: cob.SYNC
-        self._now_s: float | None = None  # time up to which the motor has turned
+        self._now_s: float | None = None  # end of the simulated time; None before the first SYNC
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Go on to the time at which a SYNC was received; with the first one the machine begins."""
+        """Advance to the receive time of a SYNC; the first one starts the machine."""
         if is_sync(frame, self.sync_cob_id()):
             received_s = self.time_base.received_at(frame, now)
             if self._now_s is None:
@@ -226,13 +226,13 @@ class Plant(SimulatedDevice):
         self.motor.braked = not powered
 
     def go_on_to(self, now: float) -> None:
-        """Turn until ``now``; a time that is over changes nothing, nor does one before the first SYNC."""
+        """Advance to ``now``; without effect for a past time or before the first SYNC."""
         if self._now_s is not None and now > self._now_s:
             self.motor.run(now - self._now_s)
             self._now_s = now
 
     def ahead_s(self, now: float) -> float:
-        """How far the motor has turned beyond ``now``, seconds: a SYNC may be handled after a torque."""
+        """By how much the motor is ahead of ``now``, seconds: a SYNC may be handled after a torque."""
         return 0.0 if self._now_s is None else max(0.0, self._now_s - now)
 
 

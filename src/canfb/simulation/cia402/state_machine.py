@@ -6,7 +6,7 @@ from enum import Enum, IntFlag
 
 
 class State(Enum):
-    """A state; its value are the bits 0 to 3, 5 and 6 of the statusword 6041h that report it."""
+    """A state; its value is bits 0 to 3, 5 and 6 of the statusword 6041h."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -19,7 +19,7 @@ class State(Enum):
 
 
 class Command(Enum):
-    """What a controlword 6040h asks for, and what happens without one."""
+    """Commands of the controlword 6040h, and internal events."""
 
     SHUTDOWN = "shutdown"
     SWITCH_ON = "switch on"  # in Operation enabled: disable operation
@@ -33,7 +33,7 @@ class Command(Enum):
 
 
 class Status(IntFlag):
-    """Bits of the statusword 6041h beside those of the state."""
+    """Bits of the statusword 6041h that do not encode the state."""
 
     VOLTAGE_ENABLED = 0x0010
     REMOTE = 0x0200
@@ -47,18 +47,18 @@ class Control(IntFlag):
 
     SWITCH_ON = 0x0001
     ENABLE_VOLTAGE = 0x0002
-    QUICK_STOP = 0x0004  # 0 asks for it
+    QUICK_STOP = 0x0004  # 0 requests a quick stop
     ENABLE_OPERATION = 0x0008
     FAULT_RESET = 0x0080
 
 
-# Where the motor may have torque.
+# States in which the motor may have torque.
 POWERED = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE})
 
-# States in which an error of the supervision is a fault; in the others the axis is off.
+# States in which an error of the feedback is a fault; in the others the axis is off or in fault already.
 SWITCHED_ON = frozenset({State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE})
 
-# The transitions with their numbers in the standard; any other command does nothing.
+# The transitions with their numbers in the standard; any other command has no effect.
 TRANSITIONS: dict[tuple[State, Command], State] = {
     (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 2
     (State.READY_TO_SWITCH_ON, Command.SWITCH_ON): State.SWITCHED_ON,  # 3
@@ -75,7 +75,7 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
     (State.OPERATION_ENABLED, Command.QUICK_STOP): State.QUICK_STOP_ACTIVE,  # 11
     (State.QUICK_STOP_ACTIVE, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 12
     (State.QUICK_STOP_ACTIVE, Command.RAMP_DONE): State.SWITCH_ON_DISABLED,  # 12
-    **{(state, Command.FAIL): State.FAULT_REACTION_ACTIVE for state in State},  # 13, but for the next two
+    **{(state, Command.FAIL): State.FAULT_REACTION_ACTIVE for state in State},  # 13, except the next two
     (State.FAULT_REACTION_ACTIVE, Command.FAIL): State.FAULT_REACTION_ACTIVE,
     (State.FAULT, Command.FAIL): State.FAULT,
     (State.FAULT_REACTION_ACTIVE, Command.RAMP_DONE): State.FAULT,  # 14
@@ -83,7 +83,7 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
 }
 
 
-# The command of a controlword: that of the first of these bits that is not set.
+# The first of these bits that is 0 in a controlword determines the command.
 COMMANDS = {
     Control.ENABLE_VOLTAGE: Command.DISABLE_VOLTAGE,
     Control.QUICK_STOP: Command.QUICK_STOP,
@@ -93,14 +93,14 @@ COMMANDS = {
 
 
 class StateMachine:
-    """The state of the drive, and the last controlword, for the edge of a fault reset."""
+    """The state of the drive, and the last controlword, to detect the edge of a fault reset."""
 
     def __init__(self, state: State = State.NOT_READY_TO_SWITCH_ON) -> None:
         self.state = state
         self._controlword = 0
 
     def command(self, controlword: int) -> Command:
-        """What a controlword asks for: a fault reset is a rising edge of bit 7."""
+        """The command of a controlword; a fault reset is a rising edge of bit 7."""
         before, self._controlword = self._controlword, controlword
         if controlword & Control.FAULT_RESET:
             return Command.NONE if before & Control.FAULT_RESET else Command.FAULT_RESET
