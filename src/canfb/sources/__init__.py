@@ -1,1 +1,1 @@
-"""Where samples come from when not from the bus; a new kind is one file, ``*_source.py``."""
+"""Sources of samples other than the bus; each kind is one file, ``*_source.py``."""

@@ -1,7 +1,7 @@
-"""A local ADC through Linux IIO as a source: its keys, what the converter has, and capturing scan after scan.
+"""A local ADC through Linux IIO as a source: its keys, properties of the converter, capturing of scans.
 
-Nothing here has a thread or a clock (:class:`canfb.hosting.captured_source.CapturedSource`). What the device
-does not have is a ConfigError that names the key.
+Thread and clock are in :class:`canfb.hosting.captured_source.CapturedSource`. If the device lacks something
+that is configured, ConfigError names the key.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ TIMESTAMP = "timestamp"
 FIRE = "trigger_now"  # attribute of a sysfs trigger
 SAMPLING_FREQUENCY = "sampling_frequency"
 TIMESTAMP_CLOCK = "current_timestamp_clock"
-MOST_BITS = 16  # of object 2000h
+MOST_BITS = 16  # size of a track in object 2000h
 TIMEOUT_MS = 2000
 
 
 class ChannelScaling:
-    """From the readings of a channel to ADC counts of ``adc_bits``, 4..16; either end of the range is
-    clipped.
+    """Converts the readings of a channel to ADC counts of ``adc_bits``, 4..16; a reading at either end of its
+    range gives the end of the counts: it is clipped.
     """
 
     def __init__(self, bits: int, signed: bool, mid_scale: float | None) -> None:
@@ -57,7 +57,7 @@ class ChannelScaling:
 
 
 def last_reading(channel: Any, size: int, signed: bool, buffer: Any) -> int:
-    """The newest in a buffer; libiio makes numbers of its byte order, bits and sign."""
+    """The newest reading in a buffer; libiio has converted byte order, bits and sign."""
     data = channel.read(buffer)
     if len(data) < size:
         raise OSError(errno.EIO, "the buffer is empty")
@@ -65,12 +65,12 @@ def last_reading(channel: Any, size: int, signed: bool, buffer: Any) -> int:
 
 
 def binding() -> Any:
-    """libiio's Python binding. BusError where it is missing, or too new."""
+    """libiio's Python binding. BusError if it is missing or too new."""
     try:
         import iio
     except ImportError:
         raise BusError("source kind iio needs libiio's Python binding: pip install 'canfb[iio]'") from None
-    except (AttributeError, OSError):  # how the binding fails without its library
+    except (AttributeError, OSError):  # raised by the binding if its library is missing
         raise BusError("source kind iio needs the library libiio: apt-get install libiio0") from None
     if iio.version[0] != 0:
         raise BusError(f"source kind iio needs libiio 0.x and pylibiio below 1, not {iio.version[2]}")
@@ -78,7 +78,7 @@ def binding() -> Any:
 
 
 def find_device(iio: Any, context: Any, key: str, name: str, uri: str) -> Any:
-    """The device, or by the ``key`` "trigger" the trigger, with this name or id."""
+    """The device with this name or id; for the ``key`` "trigger" the trigger."""
 
     def fits(one: Any) -> bool:
         return isinstance(one, iio.Trigger) == (key == "trigger")
@@ -90,7 +90,7 @@ def find_device(iio: Any, context: Any, key: str, name: str, uri: str) -> Any:
 
 
 def find_channel(device: Any, key: str, name: str) -> Any:
-    """The channel with this name or id, which is that of ``key``; it has a place in the buffer."""
+    """The channel with this name or id, as configured by ``key``; it must be part of the buffer."""
     channel = device.find_channel(name) if name.isascii() else None
     if channel is None or not channel.scan_element:
         names = [one.id for one in device.channels if one.scan_element and not one.output]
@@ -107,7 +107,7 @@ def find_timestamp(device: Any) -> Any:
 
 
 def common_scaling(tracks: Mapping[str, Any], mid_scale: float | None) -> ChannelScaling:
-    """Of both channels, by their keys; they must have one format."""
+    """The scaling of both channels, which must have one format. ``tracks``: the channels by key."""
     formats = {key: (channel.id, channel.data_format) for key, channel in tracks.items()}
     for key, (name, one) in formats.items():
         if one.repeat > 1:
@@ -121,7 +121,7 @@ def common_scaling(tracks: Mapping[str, Any], mid_scale: float | None) -> Channe
 
 
 def set_rate(trigger: Any, device: Any, rate_hz: int) -> None:
-    """The sampling frequency, of the trigger (None: there is none) if it has one, else of the device."""
+    """Set the sampling frequency of the trigger (None: no trigger) if it has one, else of the device."""
     for one in (trigger, device):
         if one is not None and SAMPLING_FREQUENCY in one.attrs:
             one.attrs[SAMPLING_FREQUENCY].value = str(rate_hz)
@@ -130,14 +130,14 @@ def set_rate(trigger: Any, device: Any, rate_hz: int) -> None:
 
 
 def choose_clock(device: Any) -> None:
-    """A clock that is never set, where there is the choice; the default is the calendar's."""
+    """Select the monotonic clock for time stamps if there is the choice; the default is real time."""
     if TIMESTAMP_CLOCK in device.attrs:
         with contextlib.suppress(OSError):
             device.attrs[TIMESTAMP_CLOCK].value = "monotonic"
 
 
 def hint(error: OSError) -> str:
-    """The reason, and what to look at."""
+    """The reason, and what to check."""
     hints = {
         errno.ENOENT: "; is the driver of a converter loaded?",
         errno.EINVAL: "; is a trigger missing?",
@@ -231,7 +231,7 @@ class IioSourceConfig(SourceConfig):
         return repr(self.device)
 
     def of_module(self, keys: Mapping[str, Any]) -> IioSourceConfig:
-        """With ``adc_bits`` as the module states them: its default says nothing of this converter."""
+        """With ``adc_bits`` only if the module configures them: the default says nothing of the converter."""
         return replace(self, adc_bits=keys.get("adc_bits"), samples_per_sync=keys.get("samples_per_sync", 1))
 
     def open(self, surroundings: Surroundings) -> Source:
@@ -243,7 +243,7 @@ class IioSourceConfig(SourceConfig):
 
 
 class IioCapture:
-    """An open device, whose kernel buffers both channels. ConfigError, with the key, or BusError."""
+    """An open device; the kernel buffers both channels. ConfigError, with the key, or BusError."""
 
     def __init__(self, config: IioSourceConfig) -> None:
         iio, where = binding(), f"IIO context {config.uri!r}"
@@ -290,7 +290,7 @@ class IioCapture:
         self._channels = [(one, form.length // 8, bool(form.is_signed)) for one, form in formats]
         device.set_kernel_buffers_count(config.buffer_scans)
         self._buffer = iio.Buffer(device, 1)
-        self._taken_ns: int | None = None  # time of the last scan
+        self._taken_ns: int | None = None  # time stamp of the last scan
 
     @property
     def adc_bits(self) -> int:

@@ -1,10 +1,11 @@
-"""Where samples come from: one interface for a local ADC, a recording and a simulated machine; those of
-each SYNC out of the scans of a converter that samples faster, by a clock of its own.
+"""Sources of samples: one interface for a local ADC, a recording and a simulated machine; selection of the
+samples of each SYNC from the scans of a converter that samples faster, with its own clock.
 
-A kind of source is one file, ``*_source.py``, with a subclass of :class:`SourceConfig`.
+Each kind of source is one file, ``*_source.py``, with a subclass of :class:`SourceConfig`.
 
-With n scans in an interval the newest sample is the n-th scan after that of the SYNC before, and the others
-are n/m scans apart. Only the drift of the clock against SYNC moves this grid, by one scan.
+With n scans and m samples in an interval, the newest sample is the n-th scan after the newest sample of the
+previous SYNC; samples are n/m scans apart. Only a drift of the clock against SYNC shifts this grid, by one
+scan.
 """
 
 from __future__ import annotations
@@ -28,23 +29,23 @@ class Source(Protocol):
     """Gives one sample for each SYNC; it is passive and never waits."""
 
     def next(self) -> Sample | None:
-        """The sample of this SYNC, counts within INTEGER16; None where there is none.
+        """The sample of this SYNC, counts within INTEGER16; None: no sample.
 
-        SourceEnded: none will come any more; SourceError: not now.
+        SourceEnded: no further samples; SourceError: not now.
         """
 
 
 @runtime_checkable
 class Machine(Protocol):
-    """A source that turns whether it is sampled or not."""
+    """A source that moves independently of the sampling."""
 
     def sample_at(self, now: float) -> Sample | None:
-        """The sample at the true time ``now`` of the node, seconds; None for one that is lost."""
+        """The sample at the true time ``now`` of the node, seconds; None: lost."""
 
 
 @runtime_checkable
 class Converter(Protocol):
-    """A source that knows its converter."""
+    """A source that knows the resolution of its converter."""
 
     @property
     def adc_bits(self) -> int:
@@ -53,7 +54,7 @@ class Converter(Protocol):
 
 @runtime_checkable
 class Grouped(Protocol):
-    """A source whose samples hold all pairs of a SYNC, with the time of the newest if there are several."""
+    """A source whose samples contain all pairs of a SYNC, with the time of the newest."""
 
     @property
     def samples_per_sync(self) -> int:
@@ -65,13 +66,14 @@ class SourceEnded(Exception):
 
 
 class SourceError(CanfbError):
-    """A source that cannot give its sample; the text says what and where."""
+    """A source cannot give its sample; the text says what failed and where."""
 
 
 class Capture(Protocol):
-    """An open converter that captures scans. It may block: only a thread of ``bus/`` waits for it.
+    """An open converter that captures scans.
 
-    :meth:`refill` may be called in another thread than :meth:`fire` and :meth:`cancel`.
+    :meth:`refill` blocks: only a thread of ``hosting/`` calls it, which need not be that of :meth:`fire` and
+    :meth:`cancel`.
     """
 
     @property
@@ -80,16 +82,16 @@ class Capture(Protocol):
 
     @property
     def is_fired(self) -> bool:
-        """Each scan waits for :meth:`fire`."""
+        """Whether each scan waits for :meth:`fire`."""
 
     def fire(self) -> None:
-        """Have one scan taken. OSError if that fails."""
+        """Trigger one scan. OSError if that fails."""
 
     def refill(self) -> Sample | None:
-        """Wait for the next scan, some seconds at most; None if there was none. OSError when it ends."""
+        """Wait for the next scan, at most some seconds; None if there was none. OSError when it ends."""
 
     def cancel(self) -> None:
-        """Let :meth:`refill` end with an OSError, now and ever after."""
+        """End :meth:`refill` with an OSError, now and in future calls."""
 
 
 class SimulatedMachine(Protocol):
@@ -101,14 +103,14 @@ class SimulatedMachine(Protocol):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What there is for a source that is opened.
+    """What a source may use when it is opened.
 
     adc_bits, cycles_per_revolution   of the module
     simulation                        gives the simulated machine
     captured                          (opened, name, wait_s, picked): runs a capture in a thread, and gives
-                                      a source of the scans that are picked, the newest without; a SYNC
-                                      waits ``wait_s`` for a scan that it has fired
-    resources                         what is entered there is closed when the program ends
+                                      a source of the scans that ``picked`` selects (None: the newest); a
+                                      SYNC waits ``wait_s`` for a scan that it has fired
+    resources                         closes what is entered there when the program ends
     """
 
     adc_bits: int
@@ -120,12 +122,12 @@ class Surroundings:
 
 @dataclass(frozen=True, kw_only=True)
 class SourceConfig:
-    """One source, as the configuration has it; each kind is a class of its own, in a file of its own.
+    """The configuration of a source; each kind is a subclass in its own file.
 
-    Its fields are the keys of the YAML, but those with ``metadata={"key": False}``; one that holds a list
-    has ``metadata={"list": True}``. ValueError for a wrong value, with the name of the key before all.
+    Its fields are the keys of the YAML, except those with ``metadata={"key": False}``; a list has
+    ``metadata={"list": True}``. ValueError for a wrong value; its text begins with the key.
 
-    kind   the word after ``kind:``: which source it is
+    kind   the word after ``kind:`` that selects this source
     """
 
     kind: str = ""
@@ -140,14 +142,14 @@ class SourceConfig:
         return f"source {self.kind!r}"
 
     def of_module(self, keys: Mapping[str, Any]) -> SourceConfig:
-        """The same, for a module with these keys in its configuration: those alone that are there."""
+        """This configuration, adapted to a module whose YAML has these ``keys``, defaults excluded."""
         return self
 
     def check_machine(self) -> None:
-        """ConfigError, which names the key, for what cannot be on this machine. Nothing is opened."""
+        """ConfigError, with the key, for a setting that this machine does not support. Opens nothing."""
 
     def open(self, surroundings: Surroundings) -> Source:
-        """The source. CanfbError, in one line, for one that cannot be used."""
+        """The open source. CanfbError, in one line, if it is unusable."""
         raise NotImplementedError
 
 
@@ -169,7 +171,7 @@ def source_kinds() -> dict[str, type[SourceConfig]]:
     return {kind.kind: kind for kind in sorted(found, key=lambda kind: kind.kind)}
 
 
-SETTLED_S = 1.0  # without a failure, before a source is said to work again
+SETTLED_S = 1.0  # time without a failure, after which a source is reported to work again
 LEAST, MOST = -32768, 32767  # INTEGER16
 
 
@@ -179,11 +181,11 @@ class SourceWatch:
     def __init__(self, ask: Callable[[], Sample | None], report: Callable[[str], None]) -> None:
         self._ask = ask
         self._report = report
-        self.failed_s: float | None = None  # When it failed last; None: it works.
+        self.failed_s: float | None = None  # Time of the last failure; None: it works.
         self.ended = False  # The source has no sample left.
 
     def sample(self, now: float) -> Sample | None:
-        """The sample of the SYNC at ``now`` (seconds), in whole counts; None for a missed one."""
+        """The sample of the SYNC at ``now`` (seconds), in whole counts; None: missed."""
         if self.ended:
             return None
         try:
@@ -194,7 +196,7 @@ class SourceWatch:
             self.ended = True
             self._report("the source has ended: no more samples")
             return None
-        except Exception as error:  # a node on a bus outlives its converter, with any error of the driver
+        except Exception as error:  # the node must survive any error of the driver of its converter
             first, self.failed_s = self.failed_s is None, now
             if first:
                 self._report(f"the source fails: {_one_line(error)}")
@@ -206,7 +208,7 @@ class SourceWatch:
 
 
 def _checked(sample: Sample) -> Sample:
-    """The sample in whole counts; half a coarse track is not used. ValueError for what no object can hold."""
+    """The sample in whole counts; a single coarse track is dropped. ValueError if it does not fit 2000h."""
     sine, cosine = _counts("sine", sample.sine), _counts("cosine", sample.cosine)
     if not 0.0 < sample.elapsed <= TICKS:
         raise ValueError(f"elapsed {sample.elapsed} is not a number of intervals")
@@ -240,34 +242,36 @@ def _one_line(error: Exception) -> str:
 
 LEAST_SCANS_PER_SYNC, MOST_SCANS_PER_SYNC = 2, 256
 KEPT_INTERVALS = 3
-LAGS = 32  # SYNCs over which the lag of the grid is watched: one that is late is no drift
-SETTLE = 64.0  # scans over which their usual distance is followed
-STEP = 0.5  # relative to it: a distance that differs by more is no distance of neighbours
+LAGS = 32  # SYNCs over which the least lag of the grid is taken: a single late SYNC is not drift
+SETTLE = 64.0  # time constant of the usual distance of scans, in scans
+STEP = 0.5  # relative difference from the usual distance beyond which scans are not neighbours
 KNOWN_BREAKS = 8
-BLOCK_SYNCS, BLOCKS, LEAST_BLOCKS = 16, 16, 4  # in which scans are counted, to hold their number against
-MOST_SCANS_OFF, PART_OFF = 1.5, 1.0 / 16.0  # of a block; and so much of an interval
+# Scans are counted in blocks of BLOCK_SYNCS. The median of the last BLOCKS, at least LEAST_BLOCKS, may differ
+# from the nominal number by MOST_SCANS_OFF scans plus PART_OFF of an interval.
+BLOCK_SYNCS, BLOCKS, LEAST_BLOCKS = 16, 16, 4
+MOST_SCANS_OFF, PART_OFF = 1.5, 1.0 / 16.0
 
 
 class EvenScans:
-    """Takes scans as they come, and gives ``per_sync`` of ``scans_per_sync`` for each SYNC."""
+    """Collects scans, and gives ``per_sync`` of the ``scans_per_sync`` for each SYNC."""
 
     def __init__(self, per_sync: int, scans_per_sync: int) -> None:
         self.per_sync = per_sync
         self._interval = scans_per_sync
         self._apart = scans_per_sync // per_sync
-        self._lead = 1 + scans_per_sync // 16  # scans that are newer than the newest sample, at the start
+        self._lead = 1 + scans_per_sync // 16  # initial number of scans newer than the newest sample
         self._slack = min(2 + scans_per_sync // 16, scans_per_sync // 4)
         self.forget()
 
     def forget(self) -> None:
         self._scans: deque[Sample] = deque(maxlen=KEPT_INTERVALS * self._interval + self._lead)
         self._count = 0
-        self._last: int | None = None  # the newest sample of the SYNC before, by the number of its scan
+        self._last: int | None = None  # scan number of the newest sample of the previous SYNC
         self._lags: deque[int] = deque(maxlen=LAGS)
         self._syncs, self._block_began = 0, 0
-        self._blocks: deque[int] = deque(maxlen=BLOCKS)  # scans that have come in this many SYNCs
-        self._usual = 0.0  # 100 ns, from scan to scan
-        self._breaks: deque[int] = deque(maxlen=KNOWN_BREAKS)  # scans before which others are missing
+        self._blocks: deque[int] = deque(maxlen=BLOCKS)  # scans in each block of BLOCK_SYNCS
+        self._usual = 0.0  # usual distance of two scans, 100 ns
+        self._breaks: deque[int] = deque(maxlen=KNOWN_BREAKS)  # numbers of scans that follow missing ones
         self._misfit = ""
 
     def came(self, scan: Sample) -> None:
@@ -284,8 +288,8 @@ class EvenScans:
         self._usual = usual + (min(max(distance, low), high) - usual) / SETTLE
 
     def take(self) -> Sample | None:
-        """The samples of this SYNC; None: too few scans. SourceError for missing ones, or a wrong number of
-        them.
+        """The samples of this SYNC; None: too few scans yet. SourceError if scans are missing, or if their
+        number is wrong.
         """
         self._count_sync()
         newest = self._begin() if self._last is None else self._next(self._last)
@@ -308,7 +312,7 @@ class EvenScans:
         interval, latest = self._interval, self._count - 1
         newest = last + interval
         lag = latest - newest
-        if lag >= interval:  # SYNCs that were missed
+        if lag >= interval:  # SYNCs were missed
             newest += lag // interval * interval
             lag %= interval
         if 2 * lag < -interval:
@@ -325,7 +329,7 @@ class EvenScans:
         return newest + scans
 
     def _count_sync(self) -> None:
-        """Hold the scans that come against those that should; blocks with a late or a lost SYNC are few."""
+        """Compare the number of scans to the nominal one; the median ignores late and lost SYNCs."""
         self._syncs += 1
         if self._syncs % BLOCK_SYNCS:
             return

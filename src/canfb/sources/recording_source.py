@@ -17,13 +17,13 @@ from canfb.signal.sample import TICK_S, Sample
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, Surroundings, column
 from canfb.sources.sample_files import Columns, read_columns, read_tracks
 
-LARGEST_TIME_S = 1e12  # Of a time column: the times of a clock of any epoch have less.
-MOST_SAMPLES = 1 << 25  # Nine hours at 1 kHz: a few rows with gaps can ask for any number.
-# Values with a fraction that are all below: no converter of 4 bits or more has so few counts.
+LARGEST_TIME_S = 1e12  # Limit of a time column; clocks of any epoch stay below.
+MOST_SAMPLES = 1 << 25  # Nine hours at 1 kHz. Gaps let a few rows stand for any number of samples.
+# If all values are below and some have a fraction, they are taken as volts, not counts.
 LARGEST_VOLTS = 32.0
-NEAR = 0.25  # Part of the amplitude: the offset of an encoder is less.
-LONG_STEP = 1.5  # times a short step of the file: less is no gap, however slow the recording
-SHORTEST_STEP_S = 1e-9  # Rows that are closer have no rate to which they could be stretched.
+NEAR = 0.25  # Largest offset of an encoder, part of the amplitude.
+LONG_STEP = 1.5  # A gap is longer than a short step of the file by this factor, however slow the recording.
+SHORTEST_STEP_S = 1e-9  # Rows that are closer have no rate, so they cannot be stretched.
 
 
 OF_CSV = ("columns", "mid_scale", "scale", "time_column", "gap_s", "gap_samples")
@@ -105,7 +105,7 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
 
 
 def chosen_layout(columns: str, mid_scale: float, scale: float, time_column: str | None) -> RecordingLayout:
-    """The layout by the options of a command. ConfigError for one that cannot be."""
+    """The layout of the options of a command. ConfigError for an impossible one."""
     names = [name.strip() for name in columns.split(",")]
     if len(names) != 2 or names[0] == names[1]:
         raise ConfigError(f"--columns {columns}: two columns are required: sine,cosine")
@@ -117,9 +117,7 @@ def chosen_layout(columns: str, mid_scale: float, scale: float, time_column: str
 
 
 class RecordingSource:
-    """Plays tracks, one sample for each SYNC; NaN is a SYNC without a sample. ``note``: how the file was
-    read.
-    """
+    """Plays tracks, one sample for each SYNC; NaN: no sample. ``note``: how the file was read."""
 
     def __init__(
         self, sine: FloatArray, cosine: FloatArray, time_100ns: list[int] | None = None, note: str = ""
@@ -138,7 +136,7 @@ class RecordingSource:
 
 
 def open_recording(file: str | Path, layout: RecordingLayout) -> RecordingSource:
-    """A recording: an NPZ file of ours by its name, which needs no layout, else CSV. CanfbError."""
+    """Open a recording: an NPZ file of canfb (by its suffix; no layout needed), else CSV. CanfbError."""
     path = Path(file)
     if path.suffix.lower() == ".npz":
         sine, cosine, *_ = read_tracks(path)
@@ -196,7 +194,7 @@ def _counts(path: Path, columns: Columns, layout: RecordingLayout) -> FloatArray
 
 
 def _remedy(values: FloatArray, layout: RecordingLayout) -> str:
-    """Options that make signed 16-bit counts of readings: 2^(bits - 1) if it is near the middle."""
+    """Options that convert readings to signed 16-bit counts; mid-scale 2^(bits - 1) if near the middle."""
     low, high = values.min(axis=0), values.max(axis=0)
     middle, amplitude = float((low + high).mean()) / 2.0, float((high - low).max()) / 2.0
     zero = float(f"{middle:.3g}")

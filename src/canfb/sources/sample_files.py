@@ -1,5 +1,5 @@
-"""Files of samples: columns of numbers out of a CSV file, as spreadsheets, oscilloscopes and loggers write
-it; both tracks out of an NPZ file, as canfb writes it."""
+"""Files of samples: columns of numbers from a CSV file of a spreadsheet, oscilloscope or logger; both tracks
+from an NPZ file of canfb."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from canfb.files import decoded, read_bytes
 from canfb.objects import MISSED_COUNTS
 from canfb.signal.phase import ArrayLike, FloatArray, pair_of_tracks
 
-SEPARATORS = "\t;,"  # in this order: a name or a number may hold a comma
+SEPARATORS = "\t;,"  # tried in this order: a name or a number may contain a comma
 SEPARATOR_LINE = re.compile(r"sep=(.)\s*")
 NAMES = {"\t": "tab", ";": "semicolon", ",": "comma"}
 
@@ -27,7 +27,7 @@ NAMES = {"\t": "tab", ";": "semicolon", ",": "comma"}
 class Columns(NamedTuple):
     """The values of the chosen columns, shape (n, columns); ``lines`` are their line numbers.
 
-    ``separator`` is what stands between two columns.
+    ``separator`` is the one found between the columns.
     """
 
     values: FloatArray
@@ -42,8 +42,8 @@ class Columns(NamedTuple):
 def read_columns(path: Path, names: Sequence[str]) -> Columns:
     """The columns with these names, or numbers from 0, of a file whose first line has the names.
 
-    The separator is that of the header, or of a line ``sep=;``; decimal commas are read. CanfbError with the
-    line.
+    The separator is found in the header, or given by a line ``sep=;``; decimal commas are read. CanfbError
+    with the line.
     """
     text = _text(path)
     head, _, rest = text.partition("\n")
@@ -95,15 +95,15 @@ def _numbers(path: Path, line: int, row: list[str], places: Iterable[int]) -> li
         raise CanfbError(f"{path}:{line}: a value in one of the selected columns is not a number") from None
 
 
-# Bytes, of all arrays: a few kB of ZIP can hold any number of zeros. Six hours at 1 kHz, with times.
+# Limit of all arrays, bytes: a few kB of ZIP can contain any number of zeros. Six hours at 1 kHz, with times.
 LARGEST_UNPACKED = 1 << 28
 
 
 class Tracks(NamedTuple):
-    """Sine and cosine in ADC counts, NaN where a sample was missed; and, or None where they are not known:
+    """Sine and cosine in ADC counts, NaN: missed sample; and, None if unknown:
 
     rate_hz        samples per second
-    time_s         of each sample
+    time_s         time of each sample
     cycles_per_s   the speed
     """
 
@@ -115,7 +115,7 @@ class Tracks(NamedTuple):
 
 
 def with_gaps(sine: ArrayLike, cosine: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Counts as floats, pairs of -32768 as NaN. ValueError for arrays of different length."""
+    """Counts as floats, with NaN for pairs of -32768. ValueError for arrays of different length."""
     s, c = (np.array(one, np.float64) for one in pair_of_tracks(sine, cosine, may_be_offset=True))
     missed = (s == MISSED_COUNTS) & (c == MISSED_COUNTS) | np.isnan(s) | np.isnan(c)
     s[missed] = c[missed] = np.nan
@@ -123,8 +123,8 @@ def with_gaps(sine: ArrayLike, cosine: ArrayLike) -> tuple[FloatArray, FloatArra
 
 
 def read_tracks(path: Path) -> Tracks:
-    """An NPZ file with arrays sine and cosine, and rate_hz, time_s, cycles_per_s if known. CanfbError, one
-    line.
+    """Read an NPZ file with arrays sine and cosine, and rate_hz, time_s, cycles_per_s if known. CanfbError,
+    one line.
     """
     try:
         with path.open("rb") as file:
