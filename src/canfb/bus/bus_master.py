@@ -15,12 +15,12 @@ from canfb.cia301 import cob
 from canfb.errors import BusError, reason, saying
 
 OnFrame = Callable[[int, bytes, float], None]
-LOOK_S = 0.05  # how late a bus that has failed may be noticed
-STOP_S = 1.0  # for the receiving thread to end
+LOOK_S = 0.05  # interval of checks for a failed bus
+STOP_S = 1.0  # time for the receiving thread to end
 
 
 class BusMaster:
-    """The master's side of a network; a context manager. BusError when the bus fails."""
+    """A master of a network; a context manager. BusError when the bus fails."""
 
     def __init__(self, bus: can.BusABC, answer_within_s: float = 1.0) -> None:
         self._bus = bus
@@ -64,7 +64,7 @@ class BusMaster:
         return time.monotonic()
 
     def wait(self, duration_s: float) -> None:
-        """Let time pass. BusError as soon as the bus has failed."""
+        """Wait. BusError as soon as the bus fails."""
         end = self.now() + duration_s
         while True:
             self.check()
@@ -80,7 +80,7 @@ class BusMaster:
 
 
 class _Network(canopen.Network):
-    """canopen's network, whose bus only lets through what somebody listens to."""
+    """canopen's network, with filters on the bus for the CAN-IDs that have subscribers."""
 
     NOTIFIER_CYCLE = LOOK_S
 
@@ -111,4 +111,4 @@ class _Listener(MessageListener):
             self.network.notify(msg.arbitration_id, msg.data, msg.timestamp)
 
     def on_error(self, exc: Exception) -> None:
-        """The notifier keeps it."""
+        """The notifier stores the exception."""

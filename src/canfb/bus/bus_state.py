@@ -1,4 +1,4 @@
-"""Whether the bus is there."""
+"""Detects failure and recovery of the bus."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 from canfb.errors import reason
 
-RETRY_S = 0.2  # between attempts on a bus that is down
-LASTING_S = 2 * RETRY_S  # reading fails for this long without a break: the bus is gone
-SETTLED_S = 1.0  # without a failure, before a bus is said to work again
+RETRY_S = 0.2  # time between attempts on a bus that is down
+LASTING_S = 2 * RETRY_S  # if reading fails for this long without a break, the bus is gone
+SETTLED_S = 1.0  # time without a failure, after which a bus is reported to work again
 
 # Classes of SocketCAN's error frames (linux/can/error.h).
 ERROR_BUS_OFF = 0x040
@@ -22,18 +22,18 @@ INTERFACE_DOWN = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO})
 
 
 class FailureWatch:
-    """Reports a failure once, and its end once that has lasted."""
+    """Reports a failure once, and its end after SETTLED_S without a failure."""
 
     def __init__(self, report: Callable[[str], None], trouble: str, recovered: str) -> None:
         self._report = report
         self._trouble = trouble
         self._recovered = recovered
         self._reported = False
-        # When it last failed; None once its end is reported: :meth:`worked` need not be called then.
+        # Time of the last failure; None after its end is reported: :meth:`worked` need not be called then.
         self.failed_s: float | None = None
 
     def failed(self, error: Exception, now: float, *, known: bool = False) -> bool:
-        """Note a failure, ``known``: reported already; True if the one before was just now."""
+        """Note a failure (``known``: reported already); True if the previous one is less than RETRY_S ago."""
         before, self.failed_s = self.failed_s, now
         if not (self._reported or known):
             self._reported = True
@@ -49,9 +49,9 @@ class FailureWatch:
 
 
 class BusState:
-    """Gone: bus-off, interface down, reading that fails for LASTING_S. Back: none of it for SETTLED_S.
+    """The bus is gone: bus-off, interface down, or reading fails for LASTING_S; back: none for SETTLED_S.
 
-    `lost` and `returned` say it once each.
+    `lost` and `returned` are True once for each change.
     """
 
     def __init__(self, report: Callable[[str], None]) -> None:
@@ -62,7 +62,7 @@ class BusState:
         self.troubled = False  # Whether `reading_worked` and `sending_worked` must be called.
         self._notified = True
         self._bus_off = False
-        self._recovered = ""  # what is to be reported at the end of what was reported
+        self._recovered = ""  # the report that ends the present failure; empty: no failure was reported
         self._alive_s: float | None = None
         self._failing_since_s: float | None = None
 
@@ -75,7 +75,7 @@ class BusState:
             self._show_life(now)
 
     def reading_failed(self, error: Exception, now: float) -> bool:
-        """True if the failure before was just now."""
+        """True if the previous failure is less than RETRY_S ago."""
         self.troubled = True
         if self._failing_since_s is None:
             self._failing_since_s = now

@@ -1,7 +1,7 @@
-"""Clocks, and receive times on the monotonic one.
+"""Clocks, and receive times converted to the monotonic clock.
 
-A frame received at t and taken at t + d, d >= 0, shows the difference of two clocks as offset + d: the least
-of many is the offset, which rises as the clocks drift.
+A frame received at t and processed at t + d, d >= 0, shows the difference of two clocks as offset + d. The
+minimum over many frames estimates the offset; it may rise slowly, because the clocks drift.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def date_and_time() -> str:
 
 
 def page_date() -> str:
-    """Now, or SOURCE_DATE_EPOCH (seconds since 1970, UTC); ConfigError for no number."""
+    """Now, or SOURCE_DATE_EPOCH (seconds since 1970, UTC); ConfigError if that is not a number."""
     said = os.environ.get("SOURCE_DATE_EPOCH")
     if said is None:
         return date_and_time()
@@ -33,7 +33,7 @@ def page_date() -> str:
 
 
 def file_date_and_time() -> tuple[str, str]:
-    """Now, as CiA 306 has it: mm-dd-yyyy, and hh:mm with AM or PM."""
+    """Now, in the format of CiA 306: mm-dd-yyyy, and hh:mm with AM or PM."""
     now = datetime.now()
     return now.strftime("%m-%d-%Y"), now.strftime("%I:%M%p")
 
@@ -42,17 +42,17 @@ def local_time() -> datetime:
     return datetime.now().astimezone()
 
 
-LARGEST_STEP_S = 0.0005  # between two looks at both clocks; more is a step of the wall clock
-CLOSE_S = 1e-5  # so much later than the look before: the processor may have been away between the clocks
+LARGEST_STEP_S = 0.0005  # a larger change of the difference between both clocks is a step of the wall clock
+CLOSE_S = 1e-5  # an increase beyond this is measured again: the process may have been suspended in between
 LOOKS = 3
-LONGEST_DELAY_S = 60.0  # a time further back is not of the wall clock
-DRIFT = 2e-4  # two crystals of 100 ppm each
-# A host that is late all the time shows nothing of another clock: one of this many frames is taken at once.
+LONGEST_DELAY_S = 60.0  # an older time stamp is not of the wall clock
+DRIFT = 2e-4  # largest relative drift: two crystals of 100 ppm each
+# The offset is found if at least one of this many frames is processed without delay.
 LEARNED_FRAMES = 64
 
 
 class OtherClock:
-    """The clock of an adapter or controller, by the least difference, which may rise by DRIFT.
+    """The clock of an adapter or controller: its offset is the least difference, which may rise by DRIFT.
 
     Known after LEARNED_FRAMES; learned again after a step of LARGEST_STEP_S or a delay above
     ``longest_delay_s``.
@@ -60,13 +60,13 @@ class OtherClock:
 
     def __init__(self, longest_delay_s: float = LONGEST_DELAY_S) -> None:
         self._longest_delay_s = longest_delay_s
-        self._stamp_s = self._taken_s = -inf  # of the last frame
+        self._stamp_s = self._taken_s = -inf  # time stamp and processing time of the last frame
         self._offset_s = self._least_s = inf
-        self._left = LEARNED_FRAMES  # until it is looked at how late all of them were
+        self._left = LEARNED_FRAMES  # frames left until the least delay of all of them is checked
         self._known = False
 
     def received(self, stamp_s: float, now: float) -> float | None:
-        """When the frame with this stamp came, never after ``now``, or None."""
+        """Receive time of the frame with this stamp, at most ``now``; None: not known."""
         last, self._stamp_s = self._stamp_s, stamp_s
         passed_s, self._taken_s = now - self._taken_s, now
         difference_s = now - stamp_s
@@ -92,9 +92,9 @@ class OtherClock:
 
 
 class ReceiveTimes:
-    """Monotonic seconds from python-can's stamps.
+    """Converts time stamps of python-can to monotonic seconds.
 
-    When the wall clock is set, frames have no time until the queue was empty.
+    After the wall clock is set, frames have no receive time until the queue has been empty.
     """
 
     def __init__(self, clock: Callable[[], float], wall: Callable[[], float]) -> None:
@@ -112,10 +112,10 @@ class ReceiveTimes:
     def received(self, stamp_s: float, now: float) -> float | None:
         difference_s = self._wall() - now
         if not -LARGEST_STEP_S <= difference_s - self._difference_s <= CLOSE_S:
-            looked_s = self._look()  # else the frames would seem to have come earlier than they did
+            looked_s = self._look()  # a wrong difference would make frames look older than they are
             self._stepped |= abs(looked_s - self._difference_s) > LARGEST_STEP_S
             difference_s = self._difference_s = looked_s
-        # The processor may have been away between the two: the smallest is the best known.
+        # A suspension between the two readings increases the difference: the smallest is the best estimate.
         self._difference_s = min(difference_s, self._difference_s)
         if self._stepped:
             return None

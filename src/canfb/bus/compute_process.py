@@ -1,4 +1,4 @@
-"""Takes one job from standard input, computes it, reports progress and result."""
+"""Reads one job from standard input, computes it, reports progress and result."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pickle
 import sys
 from multiprocessing.connection import Connection
 
-NICENESS = 10  # frames come first
+NICENESS = 10  # the process that serves the bus has priority
 
 
 def main() -> None:
@@ -18,9 +18,9 @@ def main() -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     try:
         result = pickle.load(sys.stdin.buffer)(answers.send)
-    except Exception as error:  # of any kind: the module must be told
+    except Exception as error:  # any failure must reach the module
         result = RuntimeError(f"{type(error).__name__}: {error}")
-    with contextlib.suppress(BrokenPipeError):  # the result is no longer needed
+    with contextlib.suppress(BrokenPipeError):  # nobody reads the result any more
         answers.send(result)
 
 

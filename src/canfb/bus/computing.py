@@ -1,4 +1,4 @@
-"""Long computations of a device, in a process of their own."""
+"""Runs long computations of a device in a separate process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COMMAND = (sys.executable, "-m", "canfb.bus.compute_process")
 
 
 class Computation:
-    """The computations of one ``device``, one process each: a fork would take bus and memory along."""
+    """The computations of one ``device``, a new process each: a fork would share its bus and its memory."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class Computation:
             result = self._read()
         except EOFError:
             result = ChildProcessError("the process ended without a result")
-        except Exception as error:  # no process, a job that cannot be sent, or what is no message
+        except Exception as error:  # the process does not start, the job cannot be sent, or no valid answer
             result = error
         if result is None:
             return []
@@ -77,7 +77,7 @@ class Computation:
 
     def _start(self, job: Any) -> None:
         path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
-        with tempfile.TemporaryFile() as file:  # nothing waits for the process to take it
+        with tempfile.TemporaryFile() as file:  # unlike a pipe, writing never waits for the process
             pickle.dump(job, file)
             file.seek(0)
             self._process = process = subprocess.Popen(
@@ -86,13 +86,13 @@ class Computation:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 env={"OPENBLAS_NUM_THREADS": "1", **os.environ, "PYTHONPATH": path},
-                start_new_session=True,  # Ctrl-C is for us; we end it
+                start_new_session=True,  # Ctrl-C reaches only this process, which ends the other
             )
         assert process.stdout is not None
         with process.stdout:
             self._answers = Connection(os.dup(process.stdout.fileno()), writable=False)
-        if sys.platform == "linux":  # not beside us, where `cpu` of `realtime:` keeps us
-            with contextlib.suppress(OSError):  # it has ended, which its pipe says
+        if sys.platform == "linux":  # `cpu` of `realtime:` binds this process to one CPU; not the computation
+            with contextlib.suppress(OSError):  # it has ended already; reading its pipe reports that
                 os.sched_setaffinity(process.pid, self._cpus)
 
     def _read(self) -> Any:

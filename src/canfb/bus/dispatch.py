@@ -1,4 +1,4 @@
-"""Which device gets which frame, which is due first, how frames are sent."""
+"""Distribution of frames to devices, their deadlines, and sending."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ class Port:
         )
         self.sent: Callable[[int, float], None] = getattr(device, "sent", lambda can_id, now: None)
         self.due_s = NEVER
-        self.can_ids = CanIds(frozenset(), frozenset())  # until it is asked, and of one that hears all
+        self.can_ids = CanIds(frozenset(), frozenset())  # empty until read, and for a device that gets all
         self.moved = isinstance(device, Selective)
 
 
 class Dispatch:
     """Devices by the CAN-IDs that they listen to, and by their deadlines.
 
-    The tables :meth:`follow` a device that has ``moved`` before anything is sent or received.
+    If the CAN-IDs of a device have ``moved``, :meth:`follow` updates the tables before the next frame.
     """
 
     def __init__(self, devices: list[Device], bus: FrameBus) -> None:
         self.ports = tuple(map(Port, devices))
         self.moved = True
-        self.data: dict[int, Ports] = {}  # Who gets a data frame; ``everyone`` gets those of other CAN-IDs.
+        self.data: dict[int, Ports] = {}  # Receivers of data frames; other CAN-IDs go to ``everyone``.
         self.remote: dict[int, Ports] = {}
         self.everyone = tuple(port for port in self.ports if not port.moved)
         self._bus = bus
@@ -96,12 +96,12 @@ class Dispatch:
 
 RETRY_S = 0.0005  # a frame takes 0.05 to 0.13 ms at 1 Mbit/s
 LONGEST_QUEUE = 256  # frames
-LONGEST_DELAY_S = 0.1  # a position that is older helps nobody
+LONGEST_DELAY_S = 0.1  # an older position is useless
 
 
 @dataclass
 class BusCounters:
-    """What went over the bus."""
+    """Frames and failures of the bus."""
 
     received: int = 0
     sent: int = 0
@@ -113,8 +113,8 @@ class BusCounters:
 class FrameSender:
     """Sends the frames of devices, and notifies those with inhibit times.
 
-    A bus that takes none now has a queue: LONGEST_QUEUE frames, LONGEST_DELAY_S. A failed boot-up is sent
-    first.
+    Frames that the bus does not accept now wait: at most LONGEST_QUEUE frames, for LONGEST_DELAY_S. A boot-up
+    that failed is sent before others.
     """
 
     def __init__(
@@ -124,9 +124,9 @@ class FrameSender:
         self._clock = clock
         self._bus_state = bus_state
         self._counters = counters
-        # Frames that the bus did not take yet, and since when.
+        # Frames that the bus has not accepted yet, and since when they wait.
         self.waiting: deque[tuple[Port, Frame, float]] = deque()
-        # Boot-ups that failed, by their CAN-ID: for :meth:`retry_owed`.
+        # Boot-ups that failed, by CAN-ID; :meth:`retry_owed` sends them again.
         self.owed: dict[int, tuple[Port, Frame]] = {}
 
     def send(self, port: Port, frame: Frame) -> None:
@@ -184,7 +184,7 @@ class FrameSender:
         self._bus_state.sending_failed(error, now)
         if frame.data == BOOT_UP and frame.can_id & ~NODE_ID == ERROR_CONTROL:
             self.owed[frame.can_id] = (port, frame)
-        if frame.can_id in port.inhibited:  # it counts from here: it may have left after all
+        if frame.can_id in port.inhibited:  # the inhibit time starts now: the frame may have left after all
             port.sent(frame.can_id, now)
 
 

@@ -1,7 +1,7 @@
-"""The bus of a runner, python-can as one, and reception that outlasts its failures.
+"""The bus of a runner, its implementation on python-can, and reception that survives failures.
 
-A device must not get its own frames back: interfaces mark them (``is_rx`` is false), or, as udp_multicast,
-carry a channel name that is made unique.
+A device must not receive its own frames: interfaces mark them (``is_rx`` is false); udp_multicast returns the
+channel name of a message, so a unique name marks them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from canfb.bus.shared_bus import SharedBus
 from canfb.cia301.frame import HIGHEST_ID
 from canfb.errors import BusError, reason
 
-MULTICAST = "udp_multicast"  # python-can's word for it
+MULTICAST = "udp_multicast"  # its name in python-can
 
 # Flags in the CAN-ID of a struct can_frame (linux/can.h).
 EXTENDED = 0x8000_0000
@@ -33,42 +33,41 @@ ERROR = 0x2000_0000
 
 
 def flagged_id(message: can.Message) -> int:
-    """The CAN-ID, with ERROR, or EXTENDED for what is not CANopen."""
+    """The CAN-ID, with the flag ERROR, or EXTENDED for a frame that is not CANopen."""
     if message.is_error_frame:
         return message.arbitration_id | ERROR
     return message.arbitration_id | (EXTENDED if message.is_extended_id or message.is_fd else 0)
 
 
-# A frame: its CAN-ID with these flags, its data, and its receive time by the time of day, seconds.
-#
-# 0.0, or any time of another clock, where the bus has none. One with EXTENDED is not of CANopen.
+# A frame: CAN-ID with these flags, data, and receive time on the wall clock, seconds. The time is 0.0, or of
+# any other clock, if the bus has no such time. A frame with EXTENDED is not CANopen.
 Received = tuple[int, bytes, float]
 
 
 class FrameBus(contextlib.AbstractContextManager["FrameBus"], Protocol):
-    """A bus as frames, open already; a context manager, which closes it. CanError or OSError."""
+    """An open bus that transfers frames; the context manager closes it. CanError or OSError."""
 
     def receive(self, wait_s: float) -> Received | None:
-        """Wait so long; None: no frame."""
+        """The next frame; None if there is none within ``wait_s``."""
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
-        """False if the bus takes none now."""
+        """False if the bus does not accept a frame now."""
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
-        """The CAN-IDs that are needed, None for all."""
+        """Receive only these CAN-IDs, None: all."""
 
 
 AF_CAN = getattr(socket, "AF_CAN", None)  # on Linux only
 
-# Of frames that wait, as the kernel counts them: 768 for each, and twice what is asked for. By default a
-# socket holds 277 frames, 30 ms of a full bus at 1 Mbit/s; these are 2700. Without CAP_NET_ADMIN the kernel
-# grants at most net.core.rmem_max, by default 554.
+# Size of the receive queue: 2700 frames, because the kernel counts 768 bytes per frame and doubles the size
+# requested. The default is 277 frames, 30 ms of a full bus at 1 Mbit/s. Without CAP_NET_ADMIN the kernel
+# grants at most net.core.rmem_max, by default 554 frames.
 QUEUE_BYTES = 1 << 20
 _SO_RCVBUFFORCE = 33  # asm-generic/socket.h
 
 
 def enlarge_queue(one: socket.socket) -> None:
-    """For frames that wait while this process is busy."""
+    """Enlarge the receive queue, for frames that wait while this process is busy."""
     for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):
         with contextlib.suppress(OSError):
             one.setsockopt(socket.SOL_SOCKET, option, QUEUE_BYTES)
@@ -76,7 +75,7 @@ def enlarge_queue(one: socket.socket) -> None:
 
 
 def enlarge_queue_of(bus: can.BusABC) -> None:
-    """For a bus of python-can that is a socket."""
+    """The same for a bus of python-can that is a socket."""
     with (
         contextlib.suppress(OSError, NotImplementedError, ValueError),
         socket.socket(fileno=os.dup(bus.fileno())) as one,
@@ -85,7 +84,7 @@ def enlarge_queue_of(bus: can.BusABC) -> None:
 
 
 class NamedInterface:
-    """The SocketCAN interface of a bus: one that was removed and made again must be bound again."""
+    """The SocketCAN interface of a bus; after removal and re-creation it must be bound again."""
 
     def __init__(self, bus: can.BusABC) -> None:
         under = bus.under if isinstance(bus, SharedBus) else bus
@@ -100,13 +99,13 @@ class NamedInterface:
         bus = self._bus
         if bus is not None and bus.socket.getsockname()[0] != bus.channel:
             bus.socket.bind((bus.channel,))
-            bus.set_filters(bus.filters)  # the kernel has dropped them
+            bus.set_filters(bus.filters)  # the kernel lost them with the interface
 
 
 class Reception:
-    """Receives from ``bus``, over failures of an interface that is down or gone; BusError for others.
+    """Receives from ``bus``, and survives an interface that is down or gone; BusError for other failures.
 
-    ``report`` gets a line when it goes and comes. It ``lasts``: no failure ends it.
+    ``report`` gets a line when the bus fails and works again. ``lasts``: no failure ends the reception.
     """
 
     def __init__(
@@ -138,8 +137,8 @@ class Reception:
         return message
 
 
-# Buses of python-can that hand out what was sent through them, and say so (`is_rx` is false). SocketCAN and
-# Kvaser say it of frames of other processes on the same computer, which are to be received.
+# Buses of python-can that return frames sent through them, marked by `is_rx` false. SocketCAN and Kvaser also
+# mark frames of other processes on the same computer so, which must be received.
 _ECHOING = frozenset({"GsUsbBus", "CantactBus", "VirtualBus"})
 _IGNORED: Received = EXTENDED, b"", 0.0
 
@@ -150,7 +149,7 @@ class PythonCanBus(contextlib.AbstractContextManager["PythonCanBus"]):
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
         self._interface = NamedInterface(bus)
-        # Such a bus carries the channel of a message along: it shows which frames are ours.
+        # Such a bus transfers the channel name of a message: a unique name marks its own frames.
         self._mark = uuid4().hex if brings_own_frames_back(bus) else None
         self._echoes = type(bus).__name__ in _ECHOING
 
@@ -179,7 +178,7 @@ class PythonCanBus(contextlib.AbstractContextManager["PythonCanBus"]):
         return True
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
-        """All frames: a filter differs from interface to interface."""
+        """Without effect, all frames are received: filters differ between interfaces."""
 
     def __exit__(self, *raised: object) -> None:
         self._bus.shutdown()

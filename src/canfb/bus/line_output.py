@@ -1,4 +1,4 @@
-"""Lines to a slow reader: no SYNC cycle waits for a terminal or a pipe."""
+"""Output of lines to a slow reader: no SYNC cycle waits for a terminal or a pipe."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class LineOutput:
-    """Writes lines to ``descriptor`` as far as it takes them; MOST_LINES wait, also for a full disk.
+    """Writes lines to ``descriptor`` as far as it accepts them; up to MOST_LINES wait, also for a full disk.
 
-    ``excuse`` makes the line for those left out. OSError as write(2), for a full disk at the end.
+    ``excuse`` gives the line that replaces dropped ones. OSError as of write(2), for a full disk at the end.
     """
 
     def __init__(self, descriptor: int, excuse: Callable[[int], str], encoding: str = "utf-8") -> None:
@@ -38,7 +38,7 @@ class LineOutput:
                 return
             line = self._waiting[0]
             try:
-                written = os.write(self._descriptor, line[: select.PIPE_BUF])  # which does not block then
+                written = os.write(self._descriptor, line[: select.PIPE_BUF])  # does not block up to PIPE_BUF
             except OSError as error:
                 if wait_s > 0.0 or error.errno not in FULL:
                     raise

@@ -1,4 +1,4 @@
-"""Opening a bus with python-can's own words, or one clear line."""
+"""Opens a bus from the options of python-can; a failure is one clear line."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from canfb.bus.frame_bus import MULTICAST as MULTICAST, FrameBus, PythonCanBus, enlarge_queue_of
 from canfb.errors import BusError, ConfigError, reason
 
-# The key in ``bus:`` that is not python-can's: true for python-can on SocketCAN as well.
+# The only key in ``bus:`` that is not an option of python-can: true: use python-can for SocketCAN, too.
 FORCE_PYTHON_CAN = "python_can"
 
-# What the raw socket does, or what does not matter for it: the bit rate is set in the interface.
+# Options that the raw socket supports, or that do not affect it: the interface determines the bit rate.
 _RAW_WORDS = frozenset({"interface", "channel", "bitrate", "receive_own_messages", FORCE_PYTHON_CAN})
 
-UNNAMED = '"None"'  # what python-can says of an interface that nobody has named
-# python-can uses one port for all groups, and on Linux a socket of a port receives every group that any
-# program of the computer has joined: all groups would be one bus. The ports are above those that Linux gives
-# away by itself.
+UNNAMED = '"None"'  # in python-can's message if no interface is named
+# python-can uses one port for all groups, and on Linux a socket receives every group on its port that any
+# program of the computer has joined: all groups would be one bus. So each group gets its own port, above the
+# ephemeral ports of Linux.
 _FIRST_GROUP_PORT, _GROUP_PORTS = 61440, 4096
 _GROUPS_OF_PYTHON_CAN = frozenset(
     ipaddress.ip_address(group).packed
     for group in (UdpMulticastBus.DEFAULT_GROUP_IPv4, UdpMulticastBus.DEFAULT_GROUP_IPv6)
 )
 
-_Received = tuple[can.Message | None, bool]  # of a bus of python-can, and whether it is filtered
+_Received = tuple[can.Message | None, bool]  # a message of python-can, and whether it is filtered already
 
 _MISSING = re.compile(r"missing \d+ required [a-z -]+ arguments?: (.*)")
 
 
 def open_bus(options: dict[str, Any]) -> can.BusABC:
-    """A python-can bus from its own words, environment and files; BusError if it does not exist."""
+    """A python-can bus by these options, environment and files of python-can; BusError if impossible."""
     words = {key: value for key, value in options.items() if key != FORCE_PYTHON_CAN}
     if words.get("interface") in (None, MULTICAST):
         full = _completed(options)
@@ -56,14 +56,14 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
         bus = can.Bus(**words)
     if isinstance(bus, UdpMulticastBus):
         bus._recv_internal = partial(_frame_of, bus._recv_internal)  # type: ignore[method-assign]
-    if bus.channel_info == can.BusABC.channel_info:  # some have none
+    if bus.channel_info == can.BusABC.channel_info:  # some interfaces do not set it
         bus.channel_info = f"{type(bus).__name__} {getattr(bus, 'channel', '')}"
     enlarge_queue_of(bus)
     return bus
 
 
 def _frame_of(receive: Callable[[float | None], _Received], timeout: float | None) -> _Received:
-    """Nothing for a datagram that is no frame."""
+    """Receive; ignore a datagram that is not a frame."""
     try:
         return receive(timeout)
     except can.CanOperationError as error:
@@ -76,14 +76,14 @@ def _completed(options: dict[str, Any]) -> dict[str, Any]:
     words = {key: value for key, value in options.items() if value is not None and key != FORCE_PYTHON_CAN}
     try:
         return dict(can.util.load_config(config=words))
-    except Exception:  # python-can says it better, when it opens the bus
+    except Exception:  # python-can reports it better when it opens the bus
         return {}
 
 
 def group_port(group: object) -> int | None:
     """The UDP port of a multicast group: 61440 + CRC-32 of its address modulo 4096.
 
-    None for python-can's own two groups (43113), and for no address.
+    None for the two groups of python-can (43113), and if ``group`` is not an address.
     """
     try:
         address = ipaddress.ip_address(str(group).partition("%")[0])
@@ -95,12 +95,12 @@ def group_port(group: object) -> int | None:
 
 
 def open_device_bus(options: dict[str, Any]) -> FrameBus:
-    """For devices: a raw socket for SocketCAN, else, or with ``python_can: true``, python-can."""
+    """A bus for devices: a raw socket for SocketCAN, otherwise or with ``python_can: true`` python-can."""
     check_device_bus(options)
     channel = _raw_channel(options)
     if channel is None:
         return PythonCanBus(open_bus(options))
-    from canfb.bus.raw_can_bus import RawCanBus  # here: it is for Linux
+    from canfb.bus.raw_can_bus import RawCanBus  # imported here because it needs Linux
 
     with _failing_in_one_line({"interface": "socketcan", **options}):
         return RawCanBus.open(channel)
@@ -123,20 +123,20 @@ def _raw_channel(options: dict[str, Any]) -> str | None:
 def _failing_in_one_line(options: dict[str, Any]) -> Iterator[None]:
     try:
         yield
-    except Exception as error:  # what the drivers raise has no common root
+    except Exception as error:  # the exceptions of drivers have no common base class
         raise BusError(f"cannot open the bus {describe(options)}: {_advice(options, error)}") from error
 
 
 def open_sync_bus(options: dict[str, Any], *, receives_own: bool) -> can.BusABC:
-    """For a program that counts SYNCs; ``receives_own``: that produces them."""
+    """A bus for a program that counts SYNCs; ``receives_own``: it produces them itself."""
     if receives_own:
-        with contextlib.suppress(BusError):  # udp_multicast always does, and has no such option
+        with contextlib.suppress(BusError):  # udp_multicast always receives its own, and lacks the option
             return open_bus(options | {"receive_own_messages": True})
     return open_bus(options)
 
 
 def check_device_bus(options: dict[str, Any]) -> None:
-    """ConfigError where a device would receive its own frames, and for a bad ``python_can``."""
+    """ConfigError if a device would receive its own frames, or for a bad ``python_can``."""
     forced = options.get(FORCE_PYTHON_CAN)
     if forced is not None and not isinstance(forced, bool):
         raise ConfigError(f"{FORCE_PYTHON_CAN} in bus must be true or false, not {forced!r}")
@@ -181,7 +181,7 @@ def _advice(options: dict[str, Any], error: Exception) -> str:
     return text
 
 
-# Read by python-can itself, whatever the interface.
+# Options that python-can evaluates for all interfaces.
 _GENERAL = frozenset({
     FORCE_PYTHON_CAN, "interface", "channel", "bitrate", "fd", "data_bitrate", "timing",
     "receive_own_messages", "can_filters", "ignore_config", "config_context", "state", "port", "f_clock",
@@ -216,7 +216,7 @@ def _hint(word: str, known: list[str]) -> str:
 
 @cache
 def _words_of(interface: str) -> tuple[frozenset[str], frozenset[str]]:
-    """The parameters of its classes, and all words in its source; none for a plug-in."""
+    """The parameters of the classes of an interface, and all words in its source; none for a plug-in."""
     named, mentioned = set[str](), set[str]()
     module = BACKENDS[interface][0]
     spec = find_spec(module) if module.startswith("can.interfaces.") else None

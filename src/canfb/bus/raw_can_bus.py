@@ -1,6 +1,6 @@
 """SocketCAN by a raw socket: receive times of kernel or controller, filters in the kernel.
 
-Filters are exchanged as a whole, so that no frame is lost in between; error frames always pass.
+All filters are replaced in one call, so that no frame is lost; error frames always pass.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from canfb.bus.bus_state import ERROR_RESTARTED, INTERFACE_DOWN
 from canfb.bus.clocks import OtherClock
 from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE, Received, enlarge_queue
 
-# Socket options of Linux that the module socket does not name (asm-generic/socket.h), and the flags of the
-# second (linux/net_tstamp.h): times of the hardware where a driver has them, as `candump -H` shows them.
+# Socket options of Linux that the module `socket` lacks (asm-generic/socket.h), and flags of the second
+# (linux/net_tstamp.h): hardware receive times if the driver has them, as `candump -H` shows.
 _SO_TIMESTAMPNS = 35
 _SO_TIMESTAMPING = 37
 _RX_HARDWARE, _RAW_HARDWARE = 1 << 2, 1 << 6
 
-# Control messages with these options: a timespec of the kernel, and three of the hardware, of which the last
-# counts.
+# Control messages of these options: one timespec of the kernel; three of the hardware, of which the last is
+# used.
 _KERNEL = struct.Struct("@ll")
 _HARDWARE = struct.Struct("@6l")
 _CONTROL_BYTES = socket.CMSG_SPACE(_KERNEL.size) + socket.CMSG_SPACE(_HARDWARE.size)
-LONGEST_LATENCY_S = 0.01  # from the controller to the kernel; more: its clock was set
+LONGEST_LATENCY_S = 0.01  # from controller to kernel; if longer, the clock of the controller was set
 
 
 class FrameReader:
@@ -38,7 +38,7 @@ class FrameReader:
 
     def __init__(self, source: socket.socket) -> None:
         source.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        with contextlib.suppress(OSError):  # the times of the kernel are enough
+        with contextlib.suppress(OSError):  # without hardware times, kernel times suffice
             source.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, _RX_HARDWARE | _RAW_HARDWARE)
         self._receive = source.recvmsg
         self._controller = OtherClock(LONGEST_LATENCY_S)
@@ -62,10 +62,10 @@ class FrameReader:
 
 
 _FRAME = struct.Struct("=IB3x8s")  # struct can_frame (linux/can.h)
-_FILTER = struct.Struct("=II")  # struct can_filter: the CAN-ID, and which bits of it count
+_FILTER = struct.Struct("=II")  # struct can_filter: CAN-ID and mask
 _STANDARD_ID = 0x7FF
-_EXACT = EXTENDED | REMOTE | _STANDARD_ID  # the kernel looks these up, and does not try them in turn
-RESOLUTION_S = 0.001  # of poll
+_EXACT = EXTENDED | REMOTE | _STANDARD_ID  # with this mask the kernel uses a look-up table, not a list
+RESOLUTION_S = 0.001  # resolution of poll
 MOST_FILTERS = 512  # CAN_RAW_FILTER_MAX
 _IFREQ = struct.Struct("16sh22x")  # struct ifreq (linux/if.h) with its flags
 _SIOCGIFFLAGS = 0x8913
@@ -78,12 +78,12 @@ _CAN_RAW_ERR_FILTER = 2  # python names it on Linux only
 class RawCanBus(contextlib.AbstractContextManager["RawCanBus"]):
     """A :class:`.FrameBus` on a SocketCAN interface; sending never waits.
 
-    An interface that is down or gone is an error of each :meth:`receive`; the first frame after it is an
+    While the interface is down or gone each :meth:`receive` raises; the first frame after that is an
     error frame "restarted".
     """
 
     def __init__(self, raw: socket.socket, channel: str = "") -> None:
-        """``raw``: a bound raw CAN socket, or another that carries struct can_frame."""
+        """``raw``: a bound raw CAN socket, or another one that transfers struct can_frame."""
         self._channel = channel
         self._down = False
         raw.setblocking(False)
@@ -95,8 +95,8 @@ class RawCanBus(contextlib.AbstractContextManager["RawCanBus"]):
         poll = select.poll()
         poll.register(raw, select.POLLIN)
         self._poll = poll.poll
-        self._full: list[socket.socket] = []  # the socket, while its own queue is full
-        self._filters = b""  # those that the kernel has
+        self._full: list[socket.socket] = []  # the socket, while its send queue is full
+        self._filters = b""  # filters set in the kernel
         self._chosen = _ANY_STANDARD
         if self._is_can:
             raw.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
@@ -104,10 +104,10 @@ class RawCanBus(contextlib.AbstractContextManager["RawCanBus"]):
 
     @classmethod
     def open(cls, channel: str) -> Self:
-        """OSError if there is no such interface, or no SocketCAN."""
+        """OSError if the interface does not exist or SocketCAN is missing."""
         with contextlib.ExitStack() as opened:
             raw = opened.enter_context(socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW))
-            bus = cls(raw, channel)  # times and error frames, before the first frame
+            bus = cls(raw, channel)  # enables times and error frames before the first frame
             raw.bind((channel,))
             opened.pop_all()
         return bus
@@ -116,11 +116,11 @@ class RawCanBus(contextlib.AbstractContextManager["RawCanBus"]):
         if self._down:
             return self._came_up()
         if wait_s == 0.0:
-            ready: object = True  # reading never waits
+            ready: object = True  # try: reading never waits
         elif self._full or wait_s < RESOLUTION_S:
             ready = select.select(self._sources, self._full, [], wait_s)[0]
         else:
-            ready = self._poll(int(wait_s * 1000.0))  # less work than select, and milliseconds only
+            ready = self._poll(int(wait_s * 1000.0))  # cheaper than select, but in milliseconds
         try:
             return self._read() if ready else None
         except OSError as error:
@@ -137,7 +137,7 @@ class RawCanBus(contextlib.AbstractContextManager["RawCanBus"]):
             if error.errno != errno.ENOBUFS:
                 self._note(error)
                 raise
-            return False  # that of the interface: nobody says when it has room
+            return False  # the queue of the interface is full; nothing reports when it has room
         if self._full:
             self._full = []
         return True
@@ -152,7 +152,7 @@ class RawCanBus(contextlib.AbstractContextManager["RawCanBus"]):
                 filters = b"".join(_FILTER.pack(can_id, _EXACT) for can_id in accepted)
         self._chosen = filters
         if filters != self._filters:
-            with contextlib.suppress(OSError):  # the interface is gone, which reading says
+            with contextlib.suppress(OSError):  # the interface is gone; reading reports that
                 self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
                 self._filters = filters
 
@@ -162,11 +162,11 @@ class RawCanBus(contextlib.AbstractContextManager["RawCanBus"]):
     def _came_up(self) -> Received:
         """An error frame "restarted" once the interface is up; OSError until then."""
         raw = self._socket
-        if raw.getsockname()[0] != self._channel:  # unbound by the kernel when the interface went
+        if raw.getsockname()[0] != self._channel:  # the kernel unbound it when the interface was removed
             raw.bind((self._channel,))
             raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, self._chosen)
             self._filters = self._chosen
-        raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)  # what is over is not to be read
+        raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)  # clear the old error, or reading would raise it
         request = _IFREQ.pack(self._channel.encode(), 0)
         if not _IFREQ.unpack(fcntl.ioctl(raw, _SIOCGIFFLAGS, request))[1] & _IFF_UP:
             raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))

@@ -1,8 +1,8 @@
-"""Devices on a bus: frames in, frames out, deadlines kept, a clean end on a signal.
+"""Runs devices on a bus: receives and sends frames, observes deadlines, ends cleanly on a signal.
 
-A deadline D is kept only if no frame received before D can wait: the last one was received at R >= D, or the
-queue was empty at D or later. Frames put a deadline off by 1 s at most (0.1 s without receive times), so that
-a flood cannot stop heartbeats. A device that raises ends the run for all: its state is unknown.
+A deadline D is served once no frame received before D can still wait: the last one was received at R >= D,
+or the queue was empty at D or later. Frames postpone a deadline by at most 1 s (0.1 s without receive times),
+so that a flood cannot stop heartbeats. If a device raises, the run ends for all: its state is unknown.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from canfb.errors import CanfbError
 
 log = logging.getLogger(__name__)
 
-POLL_S = 0.01  # from one look at the computations to the next
-LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
-BUS_RESOLUTION_S = 0.001  # so much earlier a bus may end a wait that is longer
-CLOSE_S = 1e-6  # a queue that is empty so shortly before a deadline is empty at it: rounding
-LEAST_WAIT_S = 2e-4  # without receive times: a read that took so long has waited, and found no queue
-LONGEST_DRAIN_S = 1.0  # how long frames that wait may put off a deadline
-LONGEST_BLIND_DRAIN_S = 0.1  # where they have no receive times, and may have come after it
+POLL_S = 0.01  # interval at which computations are polled
+LONGEST_WAIT_S = 0.1  # longest delay until a signal is noticed
+BUS_RESOLUTION_S = 0.001  # a bus may end a longer wait early by this
+CLOSE_S = 1e-6  # rounding: a queue that is empty this shortly before a deadline is empty at the deadline
+LEAST_WAIT_S = 2e-4  # without receive times: a read that takes longer has waited, so the queue was empty
+LONGEST_DRAIN_S = 1.0  # how long waiting frames may postpone a deadline
+LONGEST_BLIND_DRAIN_S = 0.1  # the same without receive times: the frames may be later than the deadline
 
 _new = tuple.__new__
 
@@ -53,10 +53,10 @@ class DeviceFailure(CanfbError):
 
 
 class Runner:
-    """Runs devices on one bus in the calling thread until :meth:`stop`; they hear each other.
+    """Runs devices on one bus in the calling thread until :meth:`stop`; they receive each other's frames.
 
     ``report`` gets a line when the state of the bus changes; ``meanwhile`` is called some hundred times a
-    second. DeviceFailure where a device raises. ``busy_poll``: never waits.
+    second. DeviceFailure if a device raises. ``busy_poll``: never wait.
     """
 
     def __init__(
@@ -79,17 +79,17 @@ class Runner:
         self._dispatch = Dispatch(devices, bus)
         self._times = ReceiveTimes(clock, wall)
         self.counters = BusCounters()
-        self._received_s: float | None = None  # when the last frame came, if frames may wait behind it
-        self._empty_s = -NEVER  # when no frame waited, as far as it is known
+        self._received_s: float | None = None  # receive time of the last frame; None: no frame waits after it
+        self._empty_s = -NEVER  # last time at which the queue was known to be empty
         self._longest_drain_s = LONGEST_DRAIN_S
-        self._put_off_s: float | None = None  # since when frames that wait put off deadlines
-        self._asked_s = self._now = clock()  # when a frame was asked for; the last look at the clock
-        self._compute_s = -NEVER  # when to look for computations next
+        self._put_off_s: float | None = None  # since when waiting frames have postponed a deadline
+        self._asked_s = self._now = clock()  # time of the last request for a frame; last reading of the clock
+        self._compute_s = -NEVER  # next time to poll computations
         self._stopped = False
         self._bus_state = BusState(report)
         self._sender = FrameSender(bus, clock, self._bus_state, self.counters)
-        self._owed_s = -NEVER  # when to try boot-ups that failed again
-        self._off: set[Port] = set()  # whose devices know that the bus is gone
+        self._owed_s = -NEVER  # next time to retry boot-ups that failed
+        self._off: set[Port] = set()  # ports whose devices were notified that the bus is gone
         self._computations = [
             (port, Computation(port.device, report))
             for port in self._dispatch.ports
@@ -100,7 +100,7 @@ class Runner:
         self._stopped = True
 
     def hears(self, can_ids: Collection[int], wait_s: float, asked: Iterable[Frame] = ()) -> int | None:
-        """Before :meth:`run`: send ``asked``; the first of these CAN-IDs heard, None after ``wait_s``."""
+        """Before :meth:`run`: send ``asked``; the first of these CAN-IDs received, None after ``wait_s``."""
         end_s = self._clock() + wait_s
         try:
             for can_id, data, remote, _ in asked:
@@ -111,9 +111,9 @@ class Runner:
                 if received is not None and received[0] in can_ids:
                     return received[0]
                 if received is not None and received[0] & ERROR:
-                    self._take(*received)  # the state of the bus
+                    self._take(*received)  # updates the state of the bus
         except (can.CanError, OSError):
-            pass  # run() meets it again, and reports it
+            pass  # run() gets the error again, and reports it
         return None
 
     def run(
@@ -175,7 +175,7 @@ class Runner:
         return received
 
     def _taken_until(self, due: float) -> float:
-        """No frame that came before waits; now, if those that wait put ``due`` off for too long."""
+        """The time before which no frame can still wait; now, if ``due`` was postponed for too long."""
         taken_s = self._empty_s + CLOSE_S if self._received_s is None else self._received_s
         if taken_s >= due:
             self._put_off_s = None
@@ -193,7 +193,7 @@ class Runner:
                 self._bus_state.error_frame(can_id & ~ERROR, self._now)
                 return
             if can_id & EXTENDED:
-                return  # others may share the bus
+                return  # frames of other protocols may share the bus
             can_id, data, remote = can_id & HIGHEST_ID, b"", True
         self.counters.received += 1
         received_s = self._times.received(stamp_s, self._now)
@@ -218,7 +218,7 @@ class Runner:
                 self._ask(port, port.device.tick, now, until)
 
     def _notify_bus_state(self) -> None:
-        """Not a device whose boot-up has not left."""
+        """Notify the devices, except those whose boot-up is not sent yet."""
         self._now = now = self._clock()
         lost, returned = self._bus_state.lost(), self._bus_state.returned(now)
         starting = {port for port, _ in self._sender.owed.values()}
@@ -231,7 +231,7 @@ class Runner:
                 if returned and port in self._off:
                     self._off.remove(port)
                     self._ask(port, device.bus_back, now)
-        self._dispatch.accept_all(self._bus_state.gone)  # any frame is a sign of life
+        self._dispatch.accept_all(self._bus_state.gone)  # while it is gone, any frame shows that it is back
 
     def _compute(self) -> None:
         self._compute_s = self._asked_s + POLL_S
@@ -239,21 +239,21 @@ class Runner:
             self._ask(port, computation.poll, self._clock())
         self._meanwhile(self._asked_s)
         for port in self._dispatch.ports:
-            self._dispatch.called(port)  # the program may have called devices by itself
+            self._dispatch.called(port)  # the program may have called devices: read their deadlines
 
     def _ask(self, port: Port, method: Callable[..., list[Frame]], *arguments: Any) -> None:
-        """Call a method of the device; send its frames, also to the others that listen."""
+        """Call a method of the device; send its frames, also to other devices that listen."""
         dispatch, send = self._dispatch, self._sender.send
         frames = self._called(port, method, *arguments)
         if dispatch.moved:
-            dispatch.follow()  # before the master learns that it may send what is new
+            dispatch.follow()  # before the answer tells the master that it may use new CAN-IDs
         if not frames:
             return
         queue = deque([(port, frames)])
         while queue:
             origin, frames = queue.popleft()
             for frame in frames:
-                self._now = now = self._clock()  # as it leaves: those that it wakes may run first
+                self._now = now = self._clock()  # read before sending, which may wake another process
                 send(origin, frame)
                 for other in dispatch.listeners(frame):
                     if other is not origin:
@@ -295,9 +295,9 @@ def on_signals(call: Callable[[], None], numbers: Iterable[int]) -> Iterator[Non
 
 
 def ending_on_signals(stop: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
-    """``stop`` on Ctrl-C, SIGTERM and SIGHUP, unless ignored (nohup)."""
+    """Call ``stop`` on Ctrl-C, SIGTERM and SIGHUP, the last unless ignored (nohup)."""
     endings = [signal.SIGINT, signal.SIGTERM]
-    hangup = getattr(signal, "SIGHUP", None)  # not on every system
+    hangup = getattr(signal, "SIGHUP", None)  # Windows has none
     if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
         endings.append(hangup)
     return on_signals(stop, endings)
@@ -305,7 +305,7 @@ def ending_on_signals(stop: Callable[[], None]) -> contextlib.AbstractContextMan
 
 @contextlib.contextmanager
 def outside_collections() -> Iterator[None]:
-    """Garbage collections leave out what there is now: 5 µs in place of 40 ms."""
+    """Exclude present objects from garbage collections, which then take 5 µs instead of 40 ms."""
     gc.freeze()
     try:
         yield

@@ -1,5 +1,5 @@
-"""The SDO client of a tool beside other clients of one node, all of which hear its answers (CiA 301,
-7.2.4.1).
+"""The SDO client of a tool that shares the channel of a node with other clients: all receive its answers
+(CiA 301, 7.2.4.1).
 
 Programs of one computer take turns by a locked file; answers to another master are ignored.
 """
@@ -23,15 +23,15 @@ from canfb.cia301 import cob
 from canfb.errors import BusError
 
 POLL_S = 0.001
-# A transfer of the longest recording (64 KiB in segments at 125 kbit/s) takes about 20 s.
+# The longest transfer, a recording of 64 KiB in segments at 125 kbit/s, takes about 20 s.
 LONGEST_TURN_S = 30.0
 
 
 @contextlib.contextmanager
 def sdo_turn(bus: str, node_id: int, longest_s: float = LONGEST_TURN_S) -> Iterator[None]:
-    """Hold the SDO channel of a node on ``bus`` (its ``channel_info``) against programs of this computer.
+    """Lock the SDO channel of a node on ``bus`` (its ``channel_info``) among programs of this computer.
 
-    BusError after ``longest_s``. Where no file can be made nobody waits.
+    BusError after ``longest_s``. If the file cannot be created, no program waits.
     """
     name = f"canfb-sdo-{zlib.crc32(bus.encode(errors='backslashreplace')):08x}-{node_id}"
     file = _opened(os.path.join(tempfile.gettempdir(), name))
@@ -73,15 +73,15 @@ def lock_file(file: int) -> None:
 
 
 ABORT = 0x80
-# The command of the answer (scs) to each command of a request (ccs), and whether it names the object
-# (CiA 301, 7.2.4.3). Block transfers name it when they begin only, with subcommand 0.
+# The command of the response (scs) for each command of a request (ccs), and whether it contains index and
+# sub-index (CiA 301, 7.2.4.3). Block transfers contain them only at the beginning, with subcommand 0.
 _ANSWERS = {0: (1, False), 1: (3, True), 2: (2, True), 3: (0, False), 5: (6, True), 6: (5, True)}
 
 
 class SharedClient(SdoClient):
-    """canopen's client, which ignores answers to others: ``disturbed`` then.
+    """canopen's client, which ignores answers to other masters, and sets ``disturbed`` then.
 
-    ``turn`` holds the channel for one transfer.
+    ``turn`` locks the channel for one transfer.
     """
 
     def __init__(

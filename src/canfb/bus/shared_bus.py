@@ -25,7 +25,7 @@ def only_reads(message: can.Message) -> bool:
 
 
 class SharedBus(can.BusABC):
-    """``bus``, received by one thread; each :meth:`branch` gets all of it.
+    """``bus``, received by one thread; each :meth:`branch` gets all frames.
 
     It sends SDO uploads; can.CanOperationError for any other frame.
     """
@@ -38,7 +38,7 @@ class SharedBus(can.BusABC):
         self.channel_info = bus.channel_info
 
     def branch(self) -> can.BusABC:
-        """A bus for another thread, with a shutdown of its own."""
+        """A bus for another thread; its shutdown leaves the other branches open."""
         branch = _Branch(self)
         self._branches.append(branch)
         return branch
@@ -101,9 +101,9 @@ class _Branch(can.BusABC):
 
 @contextlib.contextmanager
 def beside(work: Callable[[], None], stop: Callable[[], None], failed: Callable[[], None]) -> Iterator[None]:
-    """``work`` runs in a thread while this is entered; ``stop`` ends it.
+    """Run ``work`` in a thread during the context; ``stop`` ends it.
 
-    What it raises comes out at the end; ``failed`` is called at once.
+    If it raises, ``failed`` is called at once, and the exception is raised at the end.
     """
     with ThreadPoolExecutor(1, "canfb listening") as threads:
         future = threads.submit(work)
