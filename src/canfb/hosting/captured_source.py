@@ -12,14 +12,14 @@ from canfb.sources.protocol import Capture, EvenScans, NewestScan, SourceError
 
 REOPEN_S = 1.0
 CLOSE_S = 5.0
-LATE_SYNCS = 2  # for so many a scan that did not come in time is waited for; then it is lost
+LATE_SYNCS = 2  # SYNCs that are skipped while a late scan may still arrive; then it is lost
 
 
 class CapturedSource:
-    """The scans of a converter that ``picked`` chooses for a SYNC, by default the newest.
+    """The scans of a converter that ``picked`` selects for a SYNC, by default the newest.
 
-    ``opened`` opens it, and again ``reopen_s`` after a failure. A fired capture is waited for, at most
-    ``wait_s``.
+    ``opened`` opens the converter, and reopens it ``reopen_s`` after a failure. If a SYNC fires the trigger,
+    it waits at most ``wait_s`` for the scan.
     """
 
     def __init__(
@@ -35,12 +35,12 @@ class CapturedSource:
         self._wait_s = wait_s
         self._reopen_s = reopen_s
         self._changed = threading.Condition()
-        # All of these under the condition.
+        # The condition protects the attributes up to `_late`.
         self._capture: Capture | None = opened()
         self._picked = picked or NewestScan()
         self._trouble = ""
-        self.scans = 0  # Scans that have come, those included that no SYNC took.
-        self._late = 0  # SYNCs that are left without a scan: what comes may be that of an earlier one
+        self.scans = 0  # Number of scans captured, used by a SYNC or not.
+        self._late = 0  # SYNCs still to be skipped: the next scan may belong to an earlier SYNC
         self.adc_bits = self._capture.adc_bits  # Bits of a count.
         self.samples_per_sync = self._picked.per_sync  # Pairs of sine and cosine in a sample.
         self._stopping = threading.Event()
@@ -59,7 +59,7 @@ class CapturedSource:
         with self._changed:
             capture = self._capture
             if capture is not None and capture.is_fired:
-                self._picked.forget()  # what is of an earlier SYNC, and late
+                self._picked.forget()  # a late scan of an earlier SYNC
                 if self._late:
                     self._late -= 1
                     return None
@@ -67,7 +67,7 @@ class CapturedSource:
                     capture.fire()
                 except OSError as error:
                     raise SourceError(f"the trigger cannot be fired: {reason(error)}") from error
-                self._late = LATE_SYNCS  # until it comes
+                self._late = LATE_SYNCS  # the arrival of the scan clears it
                 self._changed.wait_for(lambda: not self._late or self._trouble, self._wait_s)
             sample = self._picked.take()
             if sample is None and self._trouble:
@@ -81,12 +81,12 @@ class CapturedSource:
                     self._take(self._capture.refill())
                 elif not self._stopping.wait(self._reopen_s):
                     self._reopen()
-            except Exception as error:  # a thread that dies would leave no trace
+            except Exception as error:  # without this the thread would end unnoticed
                 with self._changed:
                     self._capture, self._trouble = None, reason(error)
                     self._changed.notify()
         with self._changed:
-            self._capture = None  # which closes it
+            self._capture = None  # closes the device
 
     def _take(self, scan: Sample | None) -> None:
         if scan is not None:

@@ -1,4 +1,4 @@
-"""What a program says of its nodes; what comes too often is counted."""
+"""The log of a program on its nodes; events that are too frequent are counted."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from canfb.module.events import DETAILS, Event, NodeEvents
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.parameters import configured_defaults
 
-BURST = 5  # that pass in a window
+BURST = 5  # items of one key that pass in a window
 WINDOW_S = 1.0
 LONGEST_WINDOW_S = 10.0
 
 
-Held = tuple[int, float, Any]  # So many held back in so many seconds, and the last one.
+Held = tuple[int, float, Any]  # Number of items held back, in how many seconds, and the last one.
 
 
 @dataclass(slots=True)
@@ -35,7 +35,7 @@ class _Window:
 
 
 class Throttle:
-    """Lets BURST items of a key pass in a window of WINDOW_S to LONGEST_WINDOW_S, counts the rest."""
+    """Lets BURST items of a key pass in a window of WINDOW_S to LONGEST_WINDOW_S, and counts the others."""
 
     def __init__(self) -> None:
         self._windows: dict[Hashable, _Window] = {}
@@ -47,7 +47,7 @@ class Throttle:
         return window.count <= BURST
 
     def ended(self, now: float, *, closing: bool = False) -> list[Held]:
-        """What was held back in windows that are over; ``closing``: in all."""
+        """Items held back in windows that are over; ``closing``: in all windows."""
         found = []
         for key, window in list(self._windows.items()):
             if closing or now - window.began_s >= window.length_s:
@@ -61,7 +61,7 @@ class Throttle:
         return found
 
 
-SUMMED_UP = (  # in the closing line
+SUMMED_UP = (  # counters in the closing line
     od.COUNTER_MISSED,
     od.COUNTER_RESIDUAL,
     od.COUNTER_AMPLITUDE,
@@ -98,8 +98,8 @@ def _serial_number(device: NodeDevice) -> int:
 
 
 def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
-    """A line on configured values that saved ones replace, or none."""
-    module.storage.restore()  # the start does it again
+    """A line on configured values that saved ones replace; empty if there are none."""
+    module.storage.restore()  # read them now; the start restores again
     entries = {place: module.dictionary.entry(*place) for place in configured_defaults(module.config)}
     changed = [
         f"{index:04X}h:{subindex:02X}"
@@ -129,7 +129,7 @@ log = logging.getLogger(__name__)
 
 
 class EventLog:
-    """Writes events of nodes to the logger with the next :meth:`tick`; ``verbose``: single faults, too.
+    """Writes events of nodes to the logger at the next :meth:`tick`; ``verbose``: single faults, too.
 
     A record has the attribute `event`.
     """

@@ -41,7 +41,7 @@ from canfb.sources.protocol import Converter, Source, SourceConfig, Surroundings
 
 
 def check_machine(path: Path, config: Config) -> None:
-    """ConfigError, with line and key, for what this machine does not have."""
+    """ConfigError, with line and key, for a setting that this machine does not support."""
     try:
         keys: tuple[str | int, ...] = ("bus",)
         check_words(config.bus)
@@ -72,7 +72,7 @@ def _check_state_dir(node: NodeConfig) -> None:
 
 def _check_cpu(realtime: RealtimeConfig) -> None:
     cpu = realtime.cpu
-    # Not sched_getaffinity: a process may leave the processors that it was started on.
+    # Not sched_getaffinity: a process may select other processors than it was started on.
     count = os.cpu_count()
     if cpu is not None and count is not None and cpu >= count:
         raise ConfigError(f"cpu {cpu} in realtime: this machine has {count}, 0 to {count - 1}")
@@ -86,8 +86,8 @@ log = logging.getLogger(__name__)
 class Hosting(OnBus):
     """Modules and encoder interfaces of a configuration on a bus: a context manager around :meth:`run`.
 
-    ``words`` are python-can's own, default: those of ``config``. ConfigError and CanfbError on entering, for
-    a bus, a state_dir or a source that cannot be used.
+    ``words`` are options of python-can, default: those of ``config``. ConfigError or CanfbError on entering,
+    for an unusable bus, state_dir or source.
     """
 
     def __init__(
@@ -146,9 +146,9 @@ class Hosting(OnBus):
         ready: Callable[[], None] = lambda: None,
         alive: Callable[[float], None] = lambda now: None,
     ) -> None:
-        """Serve the nodes until :meth:`stop`: ``ready`` on the bus, ``alive`` again and again.
+        """Serve the nodes until :meth:`stop`; call ``ready`` once on the bus, and ``alive`` periodically.
 
-        CanfbError for a program error in one of them: it ends all.
+        CanfbError for a program error in a node, which ends all of them.
         """
         runner = self._entered()
         self._alive = alive
@@ -177,7 +177,7 @@ def make_module(
     bus_words: Mapping[str, Any],
     whole: Config | None = None,
 ) -> FeedbackModule:
-    """With its state_dir and source, held by `resources`."""
+    """The module with its state_dir and source, which `resources` closes."""
     store = open_store(config.state_dir, resources)
     source = None
     if config.source is not None:
@@ -189,7 +189,7 @@ def make_module(
 
 
 def open_store(state_dir: str | None, resources: contextlib.ExitStack) -> ThreadedStore | None:
-    """Held by `resources`; None without a state_dir."""
+    """The store, which `resources` closes; None without a state_dir."""
     if state_dir is None:
         return None
     files = resources.enter_context(StateFiles(state_dir))
@@ -197,7 +197,7 @@ def open_store(state_dir: str | None, resources: contextlib.ExitStack) -> Thread
 
 
 def bit_rates_of(bus_words: Mapping[str, Any]) -> list[int]:
-    """Those that LSS may choose, kbit/s: that of the system."""
+    """Bit rates that LSS may select, kbit/s: only the configured one."""
     bit_rate = bus_words.get("bitrate")
     return [bit_rate // 1000] if isinstance(bit_rate, int) else []
 
@@ -224,9 +224,9 @@ Sampling = TypeVar("Sampling", ModuleConfig, InterfaceConfig)
 def open_source(
     config: Sampling, settings: SourceConfig, whole: Config, resources: contextlib.ExitStack
 ) -> tuple[Sampling, Source]:
-    """The source with these ``settings``, closed by ``resources``, and the bits of its converter.
+    """The source with these ``settings``, which ``resources`` closes, and ``config`` with its ADC bits.
 
-    CanfbError for one that cannot be used.
+    CanfbError for an unusable source.
     """
 
     def captured(*opening: Any) -> Source:
@@ -248,7 +248,7 @@ def make_interface(
     bus_words: Mapping[str, Any],
     whole: Config | None = None,
 ) -> EncoderInterface:
-    """With its source and state_dir, held by `resources`."""
+    """The interface with its source and state_dir, which `resources` closes."""
     store = open_store(config.state_dir, resources)
     config, source = open_source(config, config.source, whole or Config(), resources)
     interface = EncoderInterface(
@@ -267,7 +267,7 @@ def make_interface(
 
 
 def saved_configuration(config: ModuleConfig) -> DeviceConfiguration:
-    """The module as it comes up: what is saved over its configuration.
+    """The module after power-on: its configuration, overridden by saved values.
 
     ConfigError without a node-ID, CanfbError for refused parameters.
     """
@@ -285,7 +285,7 @@ def saved_configuration(config: ModuleConfig) -> DeviceConfiguration:
 
 
 class _NoSource:
-    """Stands in for a source that is never read."""
+    """Placeholder for a source that is never read."""
 
     def next(self) -> None:
         """No sample."""

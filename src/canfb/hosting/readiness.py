@@ -1,4 +1,4 @@
-"""Telling others that a program is on its bus: a file, systemd."""
+"""Reports that a program is on its bus: by a file, to systemd."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ log = logging.getLogger(__name__)
 
 OURS = re.compile(rb"[0-9]{1,10}\n")
 READY, STOPPING, WATCHDOG = b"READY=1", b"STOPPING=1", b"WATCHDOG=1"
-WATCHDOG_PART = 0.25  # of the time that systemd waits: so often it is notified that the program goes on
+WATCHDOG_PART = 0.25  # interval of notifications, part of the time-out of systemd's watchdog
 
 
 class Readiness:
-    """Around the whole run: ``path`` holds the process id from :meth:`ready` on; ConfigError if it cannot.
+    """Context of a run: ``path`` contains the process id after :meth:`ready`; ConfigError if unusable.
 
     Under systemd (sd_notify(3)) it sends READY=1, STOPPING=1 and, with ``WATCHDOG_USEC``, WATCHDOG=1.
     """
@@ -36,7 +36,7 @@ class Readiness:
         self._report = report
         self._socket = environment.get("NOTIFY_SOCKET", "")
         self._watched_s = _watchdog_s(environment) if self._socket else 0.0
-        self._alive_s = -math.inf  # when to say so again
+        self._alive_s = -math.inf  # next time to notify the watchdog
 
     def __enter__(self) -> Readiness:
         if self._path is not None:
@@ -49,11 +49,11 @@ class Readiness:
             self._path.unlink(missing_ok=True)
 
     def ready(self) -> None:
-        """On the bus. CanfbError if the file cannot be written."""
+        """Report that the program is on the bus. CanfbError if the file cannot be written."""
         if self._path is not None:
             with (
                 saying(CanfbError, f"--ready-file {self._path}", OSError),
-                replacing(self._path) as unfinished,  # whole as soon as it is found
+                replacing(self._path) as unfinished,  # so a reader never finds a partial file
             ):
                 unfinished.write_text(f"{os.getpid()}\n")
         self._notify(READY)
@@ -66,7 +66,7 @@ class Readiness:
     def _notify(self, state: bytes) -> None:
         if not self._socket:
             return
-        # A name that begins with @ is an abstract one.
+        # A leading @ means an abstract socket.
         address = "\0" + self._socket[1:] if self._socket.startswith("@") else self._socket
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notifying:
@@ -85,7 +85,7 @@ def _watchdog_s(environment: Mapping[str, str]) -> float:
 
 
 def _clear(path: Path) -> None:
-    """Remove what a killed program has left; the file of a running one stays until this one is ready."""
+    """Remove the file of a killed program; that of a running one stays until this program is ready."""
     with saying(ConfigError, f"--ready-file {path}", OSError):
         if path.exists() or path.is_symlink():
             process = _process_of(path)
@@ -96,7 +96,7 @@ def _clear(path: Path) -> None:
             if process == os.getpid() or not Path("/proc", str(process)).exists():
                 path.unlink()
         elif not os.access(path.parent, os.W_OK):
-            os.stat(path.parent)  # says so if it is not there
+            os.stat(path.parent)  # raises if the folder does not exist
             raise ConfigError(f"--ready-file {path}: Permission denied")
 
 

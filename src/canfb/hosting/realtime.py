@@ -26,14 +26,14 @@ _RIGHTS = {
 
 
 class RealtimeThread(threading.Thread):
-    """A thread that the SYNC cycle waits for."""
+    """A thread on which the SYNC cycle depends."""
 
 
 def apply_realtime(config: RealtimeConfig, report: Callable[[str], None] = log.warning) -> None:
-    """Request what ``config`` sets; a refusal is reported."""
+    """Request the options that ``config`` sets; a refusal is reported."""
     if config.priority:
         with _reporting("priority", report):
-            # Not for processes that we start: a computation must not take the time of the SYNC cycle.
+            # Child processes are reset: a computation must not take time from the SYNC cycle.
             for thread in _threads():
                 os.sched_setscheduler(
                     thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(config.priority)
@@ -43,7 +43,7 @@ def apply_realtime(config: RealtimeConfig, report: Callable[[str], None] = log.w
             _lock_memory()
     if config.cpu is not None:
         with _reporting("cpu", report):
-            # A program that never sleeps leaves no time there for threads that the cycle waits for.
+            # With busy_poll the main thread occupies the CPU, so other threads must run elsewhere.
             for thread in [0] if config.busy_poll else _threads():
                 os.sched_setaffinity(thread, {config.cpu})
 

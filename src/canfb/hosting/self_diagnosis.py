@@ -1,6 +1,6 @@
 """A diagnosis of the running process, on SIGUSR1, and facts of computer, program and bus.
 
-Objects are read in the loop of the bus, a few at a time; a thread writes.
+Objects are read in the loop of the bus, a few at a time; a thread writes the file.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ HIDDEN = "(left out)"
 
 
 def versions() -> dict[str, Any]:
-    """Of canfb, its packages, Python, and the system."""
+    """Versions of canfb, its packages, Python, and the system."""
     packages = {}
     for name in PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
@@ -60,7 +60,7 @@ def versions() -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """For JSON: bytes in hexadecimal, null for no number; no passwords, keys, and users of addresses."""
+    """``value`` for JSON: bytes in hexadecimal, NaN as null; passwords, keys and users in URLs hidden."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = dataclasses.asdict(value)
     if isinstance(value, Mapping):
@@ -76,7 +76,7 @@ def plain(value: Any) -> Any:
 
 
 def interface_facts(words: Mapping[str, Any]) -> dict[str, Any]:
-    """The words of the bus, and what ``ip`` says."""
+    """The options of the bus, and the output of ``ip``."""
     channel = words.get("channel")
     facts: dict[str, Any] = {"words": plain(words)}
     if words.get("interface") == "socketcan" and isinstance(channel, str):
@@ -132,8 +132,8 @@ ENTRIES_AT_ONCE = 10
 
 
 class SelfDiagnosis:
-    """Writes ``canfb-diagnose-PID.json`` into ``folder``: :meth:`request`, from a signal handler too, then
-    :meth:`step`.
+    """Writes ``canfb-diagnose-PID.json`` into ``folder``: :meth:`request` (also from a signal handler), then
+    :meth:`step` repeatedly.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class SelfDiagnosis:
 
     @contextlib.contextmanager
     def keeping_the_log(self) -> Iterator[None]:
-        """The lines of ``canfb.*`` are kept."""
+        """Keep the log lines of ``canfb.*`` during the context."""
         logger = logging.getLogger("canfb")
         logger.addHandler(self._kept)
         try:
@@ -161,7 +161,7 @@ class SelfDiagnosis:
         self._requested = True
 
     def step(self, nodes: Sequence[NodeDevice]) -> None:
-        """Go on, for half a millisecond at most."""
+        """Continue for at most half a millisecond."""
         ended = next(self._working, True)
         if ended and self._requested:
             self._requested = False
@@ -220,13 +220,13 @@ class SelfDiagnosis:
             with replacing(path, private=True) as part:
                 part.write_text(diagnosis_text(f"process {os.getpid()}", parts), encoding="utf-8")
             self._outcome = f"diagnosis written: {path}"
-        except Exception as error:  # a thread that dies would leave no trace
+        except Exception as error:  # without this the thread would end unnoticed
             self._outcome = f"no diagnosis in {self._folder}: {reason(error)}"
         finally:
             sys.setswitchinterval(switch_s)
 
 
 def diagnosing_on_signal(request: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
-    """On SIGUSR1, where there is one."""
+    """Call ``request`` on SIGUSR1, if the system has that signal."""
     number = getattr(signal, "SIGUSR1", None)
     return on_signals(request, [] if number is None else [number])

@@ -1,7 +1,6 @@
 """What nodes on a bus share: one bus, one loop (canfb.bus.runner), one log.
 
-Nothing that lasts is done in the loop: saving and converters have threads, a reference measurement a
-process.
+Nothing in the loop takes long: saving and converters have threads, a reference measurement a process.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from canfb.device.node import Device, NodeDevice
 from canfb.errors import CanfbError
 from canfb.hosting.realtime import apply_realtime
 
-# A running SDO transfer shows within LISTEN_S, and is not disturbed; else a node has ANSWER_S for a response.
+# Listen for LISTEN_S first, so as not to disturb a running SDO transfer; then a node has ANSWER_S to respond.
 LISTEN_S, ANSWER_S = 0.02, 0.1
 READ_DEVICE_TYPE = b"\x40\x00\x10\x00\0\0\0\0"  # SDO upload of 1000h (CiA 301, 7.2.4.3.5)
 
 
 class OnBus(ABC):
-    """Holds bus, runner and what the devices need. ConfigError and CanfbError."""
+    """Owns bus, runner and the resources of the devices. Raises ConfigError and CanfbError."""
 
     def __init__(self, words: Mapping[str, Any], realtime: RealtimeConfig) -> None:
         self.words = dict(words)
@@ -39,7 +38,7 @@ class OnBus(ABC):
 
     @abstractmethod
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
-        """``resources`` closes what they open. Before the bus is opened."""
+        """The devices; called before the bus is opened. ``resources`` closes what they open."""
 
     def _refuse_used_node_ids(self, runner: Runner, devices: list[Device]) -> None:
         """CanfbError if another node, not STOPPED or with a heartbeat, has the node-ID of one of them."""
@@ -57,7 +56,7 @@ class OnBus(ABC):
 
     def _meanwhile(self, now: float) -> None:
         for handler in self._log_handlers:
-            handler.flush()  # what a slow reader has not taken yet
+            handler.flush()  # lines that a slow reader has not read yet
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as opened:

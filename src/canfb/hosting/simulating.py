@@ -44,7 +44,7 @@ class Simulating(OnBus):
         return list(self.network.devices)
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
-        """Until the end; ``ready`` is called on the bus."""
+        """Run to the end; call ``ready`` once on the bus."""
         runner, network = self._entered(), self.network
 
         def on_the_bus() -> None:

@@ -1,7 +1,7 @@
-"""Stored parameters as files: one for each group in a folder, whole after a crash at any instant.
+"""Stored parameters as files: one for each group in a folder, intact after a crash at any instant.
 
-Each is written beside its file and renamed. Several groups are first one file, ``pending.bin``, valid by its
-rename.
+Each is written to a temporary file, which is renamed. Before that, all groups of a change are written to one
+file, ``pending.bin``, which takes effect by its rename.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import PARAMETERS, Changes, Store
 from canfb.errors import CanfbError, saying
 
-LARGEST_FILE = 1 << 20  # bytes; stored parameters are some ten thousand
+LARGEST_FILE = 1 << 20  # bytes; stored parameters need some ten thousand
 PENDING = "pending.bin"
 LOCK = "lock"
 _MOST_READINGS = 10
 
 _MAGIC = b"CANFBSET"
 _HEADER = struct.Struct("<8sI")
-_PART = struct.Struct("<BBI")  # group, 1 for kept or 0 for forgotten, bytes of the image
+_PART = struct.Struct("<BBI")  # group, 1: stored or 0: deleted, bytes of the image
 _CRC = struct.Struct("<I")
 
 
@@ -39,9 +39,9 @@ class StateDirError(CanfbError):
 
 
 class StateFiles(contextlib.AbstractContextManager["StateFiles"]):
-    """What 1010h and LSS save, as files in a ``folder``, made if it is missing.
+    """What 1010h and LSS save, as files in a ``folder``, created if missing.
 
-    It belongs to one process until :meth:`close`. StateDirError if another has it or it cannot be written.
+    One process owns it until :meth:`close`. StateDirError if another owns it or it cannot be written.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -63,13 +63,13 @@ class StateFiles(contextlib.AbstractContextManager["StateFiles"]):
         self.close()
 
     def close(self) -> None:
-        """Let other processes have the folder."""
+        """Release the folder for other processes."""
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
 
     def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
-        """What is kept, by group, or an OSError."""
+        """The stored images by group; OSError for an unreadable one."""
         found: dict[ParameterGroup, bytes | OSError | None] = {}
         for group in ParameterGroup:
             try:
@@ -83,13 +83,13 @@ class StateFiles(contextlib.AbstractContextManager["StateFiles"]):
         return {group: image for group, image in found.items() if image is not None}
 
     def save(self, changes: Changes) -> None:
-        """All of ``changes`` or, with an OSError, none; None forgets."""
+        """Store all of ``changes`` (None: delete), or with an OSError none."""
         try:
             self._finish(self._pending())
         except OSError as error:
             if error.errno != errno.EBADMSG:
                 raise
-            # What was pending is lost, and the files may be partly older: they are refused for good.
+            # The pending change is lost, and some files may be older: make all of them invalid.
             changes = dict.fromkeys(PARAMETERS, b"") | dict(changes)
         if not changes:
             return
@@ -99,7 +99,7 @@ class StateFiles(contextlib.AbstractContextManager["StateFiles"]):
         except OSError:
             self._remove(PENDING)
             raise
-        with contextlib.suppress(OSError):  # it is kept; the next save tries again
+        with contextlib.suppress(OSError):  # the pending file is valid; the next save tries again
             self._finish(changes)
 
     def _pending(self) -> Changes:
@@ -133,7 +133,7 @@ class StateFiles(contextlib.AbstractContextManager["StateFiles"]):
         return data
 
     def _write(self, name: str, data: bytes) -> None:
-        """The whole file, or what it was before."""
+        """Replace the whole file, or leave it unchanged."""
         path, new = self.folder / name, self.folder / f"{name}.new"
         handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         try:
@@ -191,15 +191,15 @@ def _sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-# How long a thread may keep the interpreter from the one that serves the bus, seconds; 5 ms are usual.
-# System calls of some microseconds give it back too soon for the other one to take it.
+# Switch interval of the interpreter, instead of 5 ms: how long the storing thread may delay the one that
+# serves the bus. System calls of some microseconds release the interpreter too briefly for the other to run.
 SWITCH_S = 2e-4
-STACK_BYTES = 1 << 18  # a locked memory would hold all of the usual 8 MB
+STACK_BYTES = 1 << 18  # instead of 8 MB, all of which lock_memory would occupy
 
 
 @contextlib.contextmanager
 def small_stack() -> Iterator[None]:
-    """For threads that begin in here."""
+    """Threads started in this context get STACK_BYTES."""
     before = threading.stack_size(STACK_BYTES)
     try:
         yield
@@ -208,7 +208,7 @@ def small_stack() -> Iterator[None]:
 
 
 class ThreadedStore:
-    """``store``, written in one thread; :meth:`close` waits for it."""
+    """Writes to ``store`` in one thread; :meth:`close` waits for it."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -227,7 +227,7 @@ class ThreadedStore:
         return self._executor.submit(self._store.load).result()
 
     def save(self, changes: Changes) -> None:
-        """Wait for it; OSError if it fails."""
+        """Store and wait; OSError if that fails."""
         self._executor.submit(self._store.save, changes).result()
 
     def begin(self, changes: Changes) -> None:
@@ -244,7 +244,7 @@ class ThreadedStore:
 
 
 class SavedParameters(StateFiles):
-    """To read from: no lock, no new folder."""
+    """Read-only access: without lock, without creating the folder."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -261,10 +261,10 @@ class SavedParameters(StateFiles):
         return before
 
     def save(self, changes: Changes) -> None:
-        """OSError: it is for reading."""
+        """OSError: read-only."""
         raise OSError(errno.EROFS, f"{self.folder} is open for reading only")
 
 
 def _comparable(kept: Mapping[ParameterGroup, bytes | OSError]) -> dict[ParameterGroup, str]:
-    """Two errors are never equal as objects."""
+    """Texts to compare two readings, because two error objects are never equal."""
     return {group: str(image) for group, image in kept.items()}

@@ -1,4 +1,4 @@
-"""A network in simulated time on a bus: what ``canfb try`` shows."""
+"""A simulated network on a bus, for ``canfb try``."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from canfb.simulation.set_up import Play, set_up
 log = logging.getLogger(__name__)
 
 START_ALL = Frame(0x000, b"\x01\x00")  # NMT (CiA 301, 7.2.8.3.1)
-LONGEST_LAG_S = 0.5  # a computer that is later than that has a slow machine
+LONGEST_LAG_S = 0.5  # if the computer lags by more, the machine runs slower than real time
 LOOPBACK = "127.0.0.1"
-PRIVATE_GROUPS = 16  # for one user of one computer, side by side
+PRIVATE_GROUPS = 16  # groups that one user of one computer can use at the same time
 
 
 @contextlib.contextmanager
 def private_bus() -> Iterator[dict[str, Any]]:
-    """Words for a multicast group of this user of this computer. BusError if all are in use."""
+    """Bus options for a multicast group of this user on this computer. BusError if all are in use."""
     user = f"{platform.node()} {os.getuid() if hasattr(os, 'getuid') else os.environ.get('USERNAME')}"
     for number in range(PRIVATE_GROUPS):
         place = zlib.crc32(f"{user} {number}".encode()) % (256 * 254)
         group = f"239.255.{place // 254}.{place % 254 + 1}"  # the local scope of RFC 2365
-        # A TCP port of the same number shows that the group is taken: any end of the process frees it.
+        # An open TCP port of the same number reserves the group; it is freed however the process ends.
         with socket.socket() as lock:
             try:
                 lock.bind((LOOPBACK, group_port(group)))
@@ -58,8 +58,8 @@ def private_bus() -> Iterator[dict[str, Any]]:
 class NetworkOnBus:
     """The first module of ``config``, its encoder interface and the SYNC at ``rate_hz``, in a thread.
 
-    ``first``: frames of a master at the start. What is saved is removed at the end. CanfbError if the bus
-    fails.
+    ``first``: frames of a master at the start. Saved parameters are removed at the end. CanfbError if the
+    bus fails.
     """
 
     def __init__(self, config: Config, rate_hz: float, *, first: Sequence[Frame] = ()) -> None:
