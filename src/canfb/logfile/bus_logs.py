@@ -1,8 +1,8 @@
-"""The frames of a bus log in any format that python-can reads: one reader for all commands; and
-recording a bus, or what replayed modules send, in these formats.
+"""Reading of bus logs in any format of python-can, for all commands; recording of a bus, or of what replayed
+modules send, in these formats.
 
-Logs of candump -L are read in blocks, by a regular expression over many lines at once: python-can takes more
-time for a line than the module for its frame. It reads blocks in which a line is not a usual one.
+Logs of candump -L are read in blocks, by a regular expression over many lines at once, because python-can
+takes longer for a line than the module for its frame. python-can reads blocks with unusual lines.
 """
 
 from __future__ import annotations
@@ -46,22 +46,23 @@ from canfb.logfile.log_files import (
 )
 from canfb.rows import those
 
-# A frame later than this does not get its place; it is taken as if it had come when it was written.
+# A frame that is later is not sorted in; it gets the newest stamp before it.
 WINDOW_S = 1.0
-MOST_LATE = 100  # frames behind a longer step back that may be late as well
-LOOK_BEHIND = 8  # older frames: late ones stand among those before a step
-MOST_HELD = 1 << 16  # frames: stamps that stand still come to an end as well
+MOST_LATE = 100  # frames after a step back beyond WINDOW_S that may all be late
+LOOK_BEHIND = 8  # older frames before a step among which late ones are searched
+MOST_HELD = 1 << 16  # most frames held back without a decision, e.g. if stamps do not advance
 
 
 def in_order(batches: Iterable[list[Frame]], counters: LogCounters) -> Iterator[list[Frame]]:
     """The frames in the order of their stamps, though some were written late.
 
-    Stamps (seconds, any clock) go back only where the clock was set. Frames of one stamp keep their
-    order, and those whose stamp is no number their place.
+    In the result stamps (seconds, any clock) decrease only where the clock was set. Frames of equal stamp
+    keep their order, and those with a stamp that is no number their place.
 
-    A step back is a clock that was set if the frames behind it fill half of the way to the newest stamp
-    or end the log, without reaching it, are fewer than those before it with a later stamp, and half of
-    them have a CAN-ID that came with one; or if it is longer than the window and lasts.
+    The frames after a step back decide, until their stamps have risen by half of the step or the log ends.
+    The clock was set if none of them reaches the newest stamp, if they are fewer than the frames with a later
+    stamp before the step, and if half of them repeat a CAN-ID of those. Beyond WINDOW_S the first condition
+    suffices, for MOST_LATE frames.
     """
     held: list[Frame] = []
     for batch, end in chain(zip(batches, repeat(False)), [([], True)]):
@@ -73,7 +74,7 @@ def in_order(batches: Iterable[list[Frame]], counters: LogCounters) -> Iterator[
 
 
 def _ready(frames: list[Frame], end: bool, counters: LogCounters) -> tuple[list[Frame], list[Frame], bool]:
-    """Frames that are in order, those held back, and whether the first of these begins a set clock."""
+    """Frames in order, frames held back, and whether the clock was set before the first of the latter."""
     stamps = _stamps(frames)
     if all(map(le, stamps, stamps[1:])) or _bring_back(frames, stamps, counters):
         cut = len(frames) if end else bisect_left(stamps, stamps[-1] - WINDOW_S)
@@ -93,7 +94,7 @@ def _ready(frames: list[Frame], end: bool, counters: LogCounters) -> tuple[list[
 
 
 def _bring_back(frames: list[Frame], stamps: list[float], counters: LogCounters) -> bool:
-    """Give single frames far ahead the stamp of the next; whether all are in order then."""
+    """Give single frames far ahead the stamp of the next one; True if all are in order then."""
     line = -math.inf
     for n, stamp in enumerate(stamps):
         if stamp > line + WINDOW_S:
@@ -132,9 +133,9 @@ def _stamps(frames: list[Frame]) -> list[float]:
 
 
 def _clock_was_set(frames: list[Frame], stamps: list[float], begin: int, newest: float) -> tuple[bool, int]:
-    """Whether it was set before this frame, and where the frames end that say so.
+    """Whether the clock was set before frame ``begin``, and the end of the frames that decide it.
 
-    That is ``len(frames)`` if they are too few.
+    The end is ``len(frames)`` if they are too few.
     """
     back_s = newest - stamps[begin]
     is_long = back_s > WINDOW_S
@@ -159,7 +160,7 @@ def _clock_was_set(frames: list[Frame], stamps: list[float], begin: int, newest:
 
 
 BLOCK_BYTES = 1 << 18
-# (1700000000.123456) can0 190#0011AAFF, with R or T behind it from some versions.
+# (1700000000.123456) can0 190#0011AAFF; some versions append R or T.
 USUAL = re.compile(rb"^\((\d+\.\d+)\) (\S+) ([0-9A-Fa-f]{3})#((?:[0-9A-Fa-f]{2}){0,8})(?: [RTrt])?\r?$", re.M)
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
@@ -167,7 +168,7 @@ _new = tuple.__new__  # makes a named tuple in half the time that its own constr
 def usual_frames(
     lines: Sequence[tuple[bytes, ...]], channel: str | None, counters: LogCounters
 ) -> list[Frame]:
-    """The frames of one channel, None for all, in what :data:`USUAL` has found."""
+    """The frames of one channel (None: all) in the matches of :data:`USUAL`."""
     frame, selected = Frame, None if channel is None else channel.encode()
     taken = [
         _new(frame, (int(can_id, 16), unhexlify(data), False, float(time_s)))
@@ -186,15 +187,15 @@ def usual_frames(
 
 
 def blocks_of(file: Any, counters: LogCounters) -> Iterator[tuple[int, bytes]]:
-    """Whole lines, each with its end, and how many stand before; one that is longer than a block is divided.
+    """Blocks of whole lines, with the number of lines before each; a line longer than a block is divided.
 
-    A last one that is not whole is left out. Raises what is UNREADABLE about the file.
+    An incomplete last line is left out. Raises UNREADABLE errors of the file.
     """
     rest = whole = b""
     number, failure = 0, None
     while failure is None:
         try:
-            more = file.read1(BLOCK_BYTES)  # with read() an error takes along what came before it
+            more = file.read1(BLOCK_BYTES)  # read() would lose the data before an error
         except UNREADABLE as error:
             failure, more = error, b""
         if not more:
@@ -215,7 +216,7 @@ def blocks_of(file: Any, counters: LogCounters) -> Iterator[tuple[int, bytes]]:
 
 
 def _is_cut(line: bytes, before: bytes) -> bool:
-    """Whether a last line without an end is shorter than the one before with the same CAN-ID."""
+    """Whether a last line without line end is shorter than the previous one with the same CAN-ID."""
     place = line.find(b"#")
     begin = line.rfind(b" ", 0, max(0, place))
     same = before.rfind(line[begin : place + 1])
@@ -227,13 +228,13 @@ BATCH_FRAMES = 4096
 
 @dataclass
 class BusLogFile:
-    """The frames of a log with 11-bit identifiers on one ``channel``, once; None: on all of them.
+    """The frames of a log with 11-bit identifiers on one ``channel`` (None: all); iterate once.
 
-    Late frames get their place (:func:`in_order`). With ``others`` error frames, and frames with 29 bits or
-    of CAN FD, are given as well, flagged (:func:`.flagged_id`).
+    Late frames are sorted in (:func:`in_order`). With ``others`` error frames, frames with 29-bit identifiers
+    and of CAN FD are included, flagged (:func:`.flagged_id`).
 
-    ``counters`` are complete at the end. Damaged lines are left out; where nothing more can be read,
-    ``trouble`` says so. ConfigError for an unknown suffix, LogError for a file that cannot be read.
+    ``counters`` are complete at the end. Damaged lines are left out; if the rest is unreadable, ``trouble``
+    says so. ConfigError for an unknown suffix, LogError for an unreadable file.
     """
 
     path: Path
@@ -249,25 +250,25 @@ class BusLogFile:
 
     @property
     def part_read(self) -> float:
-        """How much of it has been read, 0..1."""
+        """Part of the file that has been read, 0..1."""
         return min(1.0, self.counters.bytes_read / self._bytes)
 
     def __iter__(self) -> Iterator[Frame]:
         return chain.from_iterable(self.batches())
 
     def batches(self) -> Iterator[list[Frame]]:
-        """The frames, many at a time, which is faster."""
+        """The frames in batches, which is faster."""
         yield from in_order(self._as_written(), self.counters)
 
     def check_end(self, report: Callable[[str], None]) -> None:
-        """Give to ``report`` which lines were left out. LogError if the end cannot be read."""
+        """Report the lines that were left out. LogError if the end cannot be read."""
         for words in self.counters.lines_left_out():
             report(f"{self.path}: {words}")
         if self.trouble is not None:
             raise LogError(self.trouble)
 
     def no_frame(self, what: str = "frame") -> LogError:
-        """Says what is there instead."""
+        """The error for a log without ``what``; says what it contains instead."""
         words = [
             f"{self.path}: there is no {what} in it",
             *those((self.counters.left_out, f"there are {', '.join(sorted(self.counters.left_out))}")),
@@ -279,7 +280,7 @@ class BusLogFile:
         return LogError("; ".join(words))
 
     def _as_written(self) -> Iterator[list[Frame]]:
-        """What readers raise has no common root: a damaged log is a finding, not the end."""
+        """The frames in the order of the file. Damage, for which readers raise anything, ends them."""
         try:
             yield from self._candump() if self.suffix == ".log" else self._by_python_can()
         except (NotImplementedError, ImportError) as error:
@@ -320,7 +321,7 @@ class BusLogFile:
     def _frame(self, message: can.Message) -> Frame | None:
         counters, can_id, name = self.counters, flagged_id(message), str(message.channel)
         counters.frames += 1
-        if can_id & ERROR:  # some have no channel
+        if can_id & ERROR:  # before the channel: some error frames have none
             counters.error_frames += 1
         elif self.channel not in (None, name):
             if can_id <= HIGHEST_ID:
@@ -337,20 +338,19 @@ class BusLogFile:
 
 log = logging.getLogger(__name__)
 
-LONGEST_WAIT_S = 0.1  # how late a signal or the end may be noticed
-ROTATED = frozenset({".asc", ".blf", ".log"})  # python-can's SizedRotatingLogger
+LONGEST_WAIT_S = 0.1  # longest delay until a signal or the end is noticed
+ROTATED = frozenset({".asc", ".blf", ".log"})  # suffixes of python-can's SizedRotatingLogger
 
 
 class BusLog:
     """Writes what a bus receives into a file until :meth:`stop`. Use it as a context manager.
 
-    A bus that fails is tried again, and an interface that was removed and made again is opened.
+    A bus that fails is tried again; an interface that was removed and re-created is opened again.
 
-    With ``max_bytes`` a file that has become as large is renamed, and the next one begins. ConfigError for a
-    suffix, size or place that cannot be, and for a file that is there unless ``overwrite``; CanfbError when
-    the file fails.
+    With ``max_bytes`` a file of this size is renamed, and the next one begins. ConfigError for an impossible
+    suffix, size or folder, and for an existing file unless ``overwrite``; CanfbError when the file fails.
 
-    ``clock`` and ``sleep`` are those of the system, but for tests.
+    ``clock`` and ``sleep`` are arguments for tests.
     """
 
     def __init__(
@@ -379,7 +379,7 @@ class BusLog:
         name, most = str(self.place), self._max_bytes
         try:
             with writing(self.path):
-                # As python-can opens it, which takes no other dot in the name of a .gz.
+                # Opened here as python-can does, which accepts no further dot in the name of a .gz.
                 file: Any = gzip.open(name, "wt") if self.path.suffix.lower() == GZIP else name
                 self._writer = (
                     can.SizedRotatingLogger(name, max_bytes=most)
@@ -398,9 +398,9 @@ class BusLog:
         self._stopped = True
 
     def record(self, bus: can.BusABC, seconds: float | None = None) -> None:
-        """Write what comes for ``seconds``; None: until :meth:`stop`.
+        """Write received frames for ``seconds``; None: until :meth:`stop`.
 
-        The frames of udp_multicast, in which each sender names the channel as it likes, get one name.
+        On udp_multicast every sender chooses its channel name; here all frames get the same.
         """
         name = MULTICAST if brings_own_frames_back(bus) else None
         reception = Reception(bus, log.warning, self._clock, self._sleep, lasts=True)
@@ -417,7 +417,7 @@ class BusLog:
     def write(self, message: can.Message) -> None:
         with writing(self.path):
             self._writer.on_message_received(message)
-        # python-can writes no others into a .trc.
+        # python-can writes only classic data frames into a .trc.
         kept = self._suffix != ".trc" or not (
             message.is_error_frame or message.is_remote_frame or message.is_fd
         )
@@ -432,7 +432,7 @@ class BusLog:
 
 @contextlib.contextmanager
 def replacing_log(path: Path) -> Iterator[BusLog]:
-    """In its place at the end, when nothing failed."""
+    """A log that replaces ``path`` at the end if nothing failed."""
     log = BusLog(path, overwrite=True)
     with replacing(path) as log.place, log:
         yield log

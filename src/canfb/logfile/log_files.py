@@ -1,13 +1,13 @@
-"""Bus logs as files: their suffixes, how they are opened, what is counted while they are read; the readers of
-python-can for other formats than that of candump, and what they do not do themselves.
+"""Bus logs as files: suffixes, opening, counters of reading; the readers of python-can for formats other than
+candump, with corrections.
 
-A reader of python-can ends at the first line that it cannot read; it gets lines in blocks here
-(:class:`_Lines`). Its known bugs (https://github.com/hardbyte/python-can), and where they are worked round:
+A reader of python-can ends at the first unreadable line, so it gets lines in blocks here (:class:`_Lines`).
+Its known bugs (https://github.com/hardbyte/python-can), and their workarounds:
 
-    #1584, #1581   BLF: an object with length 0 is read again and again     _BlfReader
-    none           candump: of the error frames only bus errors are read    _CandumpLines
-    none           BLF: one that was cut off is like a whole one            _WholeReads, _check_end
-    #1788          ASC: "timestamps relative"; "base" behind another line   _AscLines
+    #1584, #1581   BLF: an object with length 0 is read for ever            _BlfReader
+    none           candump: of the error frames only bus errors are read    CandumpLines
+    none           BLF: a truncated file passes as a whole one              _BlfReader
+    #1788          ASC: "timestamps relative"; "base" after another line    _AscLines
     none           ASC, TRC: a line with too few bytes is a shorter frame   _is_whole
     none           TRC: an empty line ends the header                       _TrcLines
 """
@@ -36,25 +36,26 @@ from canfb.rows import Row, listed, those
 GZIP = ".gz"
 # python-can's binary writers seek back to their header, which gzip cannot; asammdf reads files only.
 NOT_ZIPPED = frozenset({".blf", ".db", ".mf4"})
-# A folder may hold other files with these suffixes: one that is a bus log is named by itself.
+# Not searched in folders, where files with these suffixes need not be bus logs; name them one by one.
 IN_NO_FOLDER = frozenset({".csv", ".db"})
 NEEDS_PACKAGE = "this format needs another package: pip install 'canfb[mf4]'"
 
 
 def log_suffix(path: Path) -> tuple[str, bool]:
-    """The suffix that says what format it is, in small letters, and whether it is compressed."""
+    """The suffix of the format, in lower case, and whether the file is compressed."""
     zipped = path.suffix.lower() == GZIP
     unzipped = path.with_suffix("") if zipped else path
     return unzipped.suffix.lower(), zipped
 
 
 READABLE = sorted(MESSAGE_READERS)
-# What can be written, and read again. python-can writes .db in a thread that ends unheard on a full disk.
+# Formats that can be written and read. Not .db: python-can writes it in a thread that fails silently if the
+# disk is full.
 WRITABLE = sorted(set(MESSAGE_WRITERS) & set(MESSAGE_READERS) - {".db"})
 
 
 def is_log(path: Path) -> bool:
-    """Whether a file of a folder is a bus log, by its name."""
+    """Whether a file of a folder is a bus log, judged by its name."""
     suffix, zipped = log_suffix(path)
     return suffix in READABLE and suffix not in IN_NO_FOLDER and not (zipped and suffix in NOT_ZIPPED)
 
@@ -70,12 +71,12 @@ def check_suffix(path: Path, known: list[str]) -> str:
     raise ConfigError(f"{path}: {what}; bus logs end with {', '.join(known)}, or {GZIP} behind one of text")
 
 
-UNREADABLE = (OSError, EOFError, zlib.error)  # What reading a file raises, compressed or not.
+UNREADABLE = (OSError, EOFError, zlib.error)  # Errors of reading a file, compressed or not.
 
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[tuple[Any, IO[bytes]]]:
-    """The content, unpacked, and the file itself for its place."""
+    """The content, unpacked, and the raw file, whose position gives the progress."""
     with path.open("rb") as raw:
         file: Any = gzip.GzipFile(fileobj=raw) if log_suffix(path)[1] else raw
         is_utf_16 = file.peek(2)[:2] in UTF_16
@@ -88,12 +89,12 @@ class LogError(CanfbError):
 
 @dataclass
 class LogCounters:
-    """All frames, those left out and why, and lines that are none.
+    """Counts of all frames, of those left out by reason, and of lines without a frame.
 
-    late             frames that got another place
-    damaged_lines    lines that are no whole frame; ``empty_lines`` are comments of a candump log as well
+    late             frames that were moved to another place
+    damaged_lines    incomplete frames; ``empty_lines`` include comments of a candump log
     bytes_read       of the file, for the progress
-    channels         whose frames were taken
+    channels         channels whose frames were used
     left_out         frames of other channels with 11-bit identifiers: by channel, by CAN-ID
     not_canopen      29-bit identifiers and CAN FD
     """
@@ -163,16 +164,16 @@ class LogCounters:
         )
 
 
-MOST_CHANNELS = 6  # that are listed
+MOST_CHANNELS = 6  # channels listed in a message
 LONGEST_LINE = 1 << 16  # bytes
 BLOCK_LINES = 256
-BLF_OBJECT, BLF_OBJECT_PLACES = b"LOBJ", 8  # an object begins in the first 4 bytes behind the one before
-BLF_HEAD, BLF_LONGEST = 16, 1 << 24  # bytes: of an object's head, of an object
+BLF_OBJECT, BLF_OBJECT_PLACES = b"LOBJ", 8  # an object begins 0..4 bytes after the previous one
+BLF_HEAD, BLF_LONGEST = 16, 1 << 24  # size of the header of an object, largest object, bytes
 BLF_CONTAINER, BLF_ZLIB = 10, b"\2"
 
 
 def messages_of(path: Path, suffix: str, counters: LogCounters) -> Iterator[can.Message]:
-    """What is in a log. What is raised behind damage has no common root."""
+    """The messages of a log. Damage may raise any exception."""
     with opened(path) as (file, raw), contextlib.ExitStack() as closing:
         if suffix in TEXT:
             messages: Iterable[can.Message] = TEXT[suffix](file, counters).messages()
@@ -186,20 +187,20 @@ def messages_of(path: Path, suffix: str, counters: LogCounters) -> Iterator[can.
 
 
 class _Lines:
-    """The frames of a text log: a block of lines at once, or line by line where one gives no whole frame.
+    """The frames of a text log: a block of lines at once, or line by line if one gives no whole frame.
 
-    ``frame`` says which lines should give one, ``cut`` which are damaged; ``head`` comes before.
+    ``frame`` matches lines of frames, ``cut`` damaged lines; ``head`` is put before the lines.
     """
 
     reader: type[Any]
     frame = re.compile("")
     cut = re.compile("(?!)")
     head = ""
-    has_words_of_bytes = True  # each byte stands by itself
+    has_words_of_bytes = True  # blanks separate the data bytes
 
     def __init__(self, file: Any, counters: LogCounters, number: int = 0) -> None:
         self._file, self._counters = file, counters
-        self._number = number  # of the line, from 1
+        self._number = number  # number of the line, from 1
         self._failure: Exception | None = None
 
     def messages(self) -> Iterator[can.Message]:
@@ -223,24 +224,24 @@ class _Lines:
                     yield self._number, kept
                 elif "\0" in line or self.cut.fullmatch(line.strip()):
                     self._counters.damaged(self._number)
-        except UNREADABLE as error:  # what came before it is read first
+        except UNREADABLE as error:  # raised later, after the lines before it
             self._failure = error
 
     def kept(self, line: str) -> str | None:
         return line if self.frame.match(line) else None
 
     def _read(self, lines: Sequence[str]) -> Sequence[can.Message | None]:
-        """None for a damaged line."""
+        """The message of each line; None: damaged."""
         try:
             messages = list(self.reader(io.StringIO(self.head + "".join(lines))))
-        except Exception:  # a line that it cannot read
+        except Exception:  # python-can cannot read one of the lines
             messages = []
         if len(messages) == len(lines) and all(map(self._is_whole, messages, lines)):
             return messages
         return [self._read([line])[0] for line in lines] if len(lines) > 1 else [None]
 
     def _is_whole(self, message: can.Message, line: str) -> bool:
-        """As many bytes as the line says, the last one with both digits."""
+        """Whether the line has all its bytes, and the last one both digits."""
         if message.is_error_frame or message.is_fd or message.is_remote_frame:
             return True
         length = len(message.data)
@@ -284,13 +285,13 @@ class _AscLines(_Lines):
 
 
 class _TrcLines(_Lines):
-    """PEAK: ";$" begins the header; no comment and no event: a frame."""
+    """PEAK: ";$" begins the header; a line that is neither comment nor event is a frame."""
 
     reader = can.TRCReader
     frame = re.compile(
         r"(?!\s*(;|$|\d+\)?\s+[\d.]+\s+((\d+\s+)?(ST|EC|ER|EV|Warng|Error|Status|FFFFFFFF)\b|\w+\s+\d\s+ERROR\b)))"
     )
-    of_1_2 = re.compile(r"(\)\s+[\d.]+\s+\d+\s+[RT]x\s+\w+)(?=\s+\d+\s)")  # 1.3 has "-" behind the CAN-ID
+    of_1_2 = re.compile(r"(\)\s+[\d.]+\s+\d+\s+[RT]x\s+\w+)(?=\s+\d+\s)")  # 1.3 has "-" after the CAN-ID
     start = re.compile(r";\$STARTTIME\s*=\s*(\d+)(?:[.,](\d+))?$")
     header = re.compile(r";\$(?!STARTTIME)|;\$STARTTIME=\d+\.")
 
@@ -302,7 +303,7 @@ class _TrcLines(_Lines):
 
 
 class CandumpLines(_Lines):
-    """candump -L; ``number`` lines stand before those of the file."""
+    """candump -L; ``number`` lines precede those of ``file``."""
 
     reader = can.CanutilsLogReader
     has_words_of_bytes = False
@@ -313,7 +314,7 @@ class CandumpLines(_Lines):
     error = re.compile(r" 2[0-9A-Fa-f]{7}#")
 
     def kept(self, line: str) -> str | None:
-        """Without comments and what python-can would take for a frame."""
+        """The line for python-can, changed if it would misread it; None for a comment."""
         if not self.frame.match(line):
             self._counters.empty_lines += 1
             return None
@@ -321,7 +322,7 @@ class CandumpLines(_Lines):
 
 
 class _CsvLines(_Lines):
-    """python-can's own."""
+    """CSV of python-can."""
 
     reader = can.CSVReader
     has_words_of_bytes = False
@@ -333,7 +334,7 @@ TEXT: dict[str, type[_Lines]] = {".asc": _AscLines, ".trc": _TrcLines, ".csv": _
 
 
 class _BlfReader(can.BLFReader):
-    """python-can goes on silently behind damage; ValueError here."""
+    """python-can silently skips damage; here it raises ValueError."""
 
     def __iter__(self) -> Iterator[can.Message]:  # type: ignore[override]
         while head := self.file.read(BLF_HEAD):
