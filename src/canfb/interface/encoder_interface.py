@@ -1,5 +1,5 @@
-"""The remote encoder interface: a CiA 401 analog input node that samples any source at every SYNC and, in
-object 2050h, both tracks faster than SYNC; when it samples; its parameters."""
+"""The remote encoder interface: a CiA 401 analog input node that samples any source at every SYNC and records
+both tracks faster than SYNC (2050h); its sampling instants; its configuration."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ OLDEST_S = 10.0
 
 
 class TimeBase:
-    """The time of the machine, as a node has it: the true time; one that is simulated may have another."""
+    """The time of the machine as seen by a node: the true time; a simulated machine may have its own."""
 
     def received_at(self, frame: Frame, now: float) -> float:
-        """The time of the machine, seconds, at which ``frame`` was received that is handled at ``now``.
+        """The time of the machine, seconds, at which ``frame`` was received; it is handled at ``now``.
 
-        A time stamp ahead of ``now``, or 10 s behind it, is of another clock.
+        A time stamp later than ``now``, or 10 s before it, is of another clock and not used.
         """
         stamp = frame.timestamp
         return self.at(now if stamp is None or not now - OLDEST_S <= stamp <= now else stamp)
@@ -50,10 +50,10 @@ LARGEST_DRIFT_PPM = 10_000.0
 
 
 class SampleClock:
-    """Counts units of 100 ns as U32, which wraps each 429.5 s; it is never set and never stopped.
+    """Counts units of 100 ns as U32, which wraps every 429.5 s; it is never set or stopped.
 
-    drift_ppm     how much faster than the true time it runs, -10000..10000 ppm; a crystal has up to 100
-    start_100ns   what it shows at the time 0 of the node, any integer
+    drift_ppm     rate relative to true time, -10000..10000 ppm; a crystal has up to ±100
+    start_100ns   its value at the time 0 of the node, any integer
 
     ValueError for anything else.
     """
@@ -67,15 +67,16 @@ class SampleClock:
         return (self._start + math.floor(now * self._rate)) % TICKS
 
 
-LOCK_SYNCS = 4096  # that the clock of the interface is locked to
-EARLIER_PART = 1.0 / 16.0  # of the interval: so long before the nominal SYNC the newest sample is taken
+LOCK_SYNCS = 4096  # SYNCs from which the grid of the samples is estimated
+EARLIER_PART = 1.0 / 16.0  # lead of the newest sample on the nominal SYNC, part of the interval
 
 
 class SyncSampler:
-    """Gives ``per_sync`` samples, 1..8, of a machine or a recording for each SYNC, in one.
+    """Gives ``per_sync`` samples, 1..8, of a machine or a recording for each SYNC, as one `Sample`.
 
-    One sample is that of the SYNC. Several of a machine lie on a grid that is locked to SYNC, the newest one
-    shortly before it, or at a SYNC that is earlier. The first SYNC measures no interval, and has none.
+    A single sample is taken at the SYNC. Several samples of a machine lie on a grid that is locked to SYNC:
+    the newest shortly before it, or at the SYNC if that is early. The first SYNC gets no sample, because no
+    interval is known.
     """
 
     def __init__(self, source: Source, per_sync: int) -> None:
@@ -85,13 +86,10 @@ class SyncSampler:
         self._grid = Grid(LOCK_SYNCS)
         self._last_s: float | None = None
         self._taken_s: float | None = None
-        self.newest_s = 0.0  # When the newest sample was taken, in the time of the machine, seconds.
+        self.newest_s = 0.0  # Instant of the newest sample, time of the machine, seconds.
 
     def at_sync(self, received_s: float) -> Sample | None:
-        """The samples for the SYNC that was received at this time; None where one of them is missing.
-
-        What ``source`` raises.
-        """
+        """The samples for the SYNC received then; None if one is missing. Raises errors of ``source``."""
         self.newest_s = received_s
         if self._per_sync == 1:
             return self._source.next() if self._machine is None else self._machine.sample_at(received_s)
@@ -101,15 +99,15 @@ class SyncSampler:
         self._grid.take(received_s)
         if last is None or not received_s > last:
             return None
-        period_s, lead_s = rough_s or received_s - last, 0.0  # a pause is no interval
+        period_s, lead_s = rough_s or received_s - last, 0.0  # rough_s does not count a pause as an interval
         if self._grid.locked:
             period_s, lead_s = self._grid.period, self._grid.lead
         newest_s = min(received_s + lead_s - EARLIER_PART * period_s, received_s)
         before, self._taken_s, self.newest_s = self._taken_s, newest_s, newest_s
         passed_s = period_s if before is None else newest_s - before
-        if passed_s <= TOGETHER * period_s:  # SYNCs too near together for the grid
+        if passed_s <= TOGETHER * period_s:  # SYNCs too close for the grid
             return None
-        is_early = passed_s <= period_s - period_s / self._per_sync  # while the grid is not known
+        is_early = passed_s <= period_s - period_s / self._per_sync  # possible until the grid is locked
         apart_s = (passed_s if is_early else period_s) / self._per_sync
         instants = [newest_s - earlier * apart_s for earlier in range(self._per_sync - 1, -1, -1)]
         return _together(
@@ -119,7 +117,7 @@ class SyncSampler:
 
 
 def _together(samples: list[Sample | None], passed_s: list[float] | None) -> Sample | None:
-    """One sample of all; ``passed_s`` is how long after the last of the SYNC before each was taken."""
+    """All in one `Sample`; ``passed_s``: their times since the last sample of the previous SYNC."""
     there = [one for one in samples if one is not None]
     if len(there) < len(samples):
         return None
@@ -138,7 +136,7 @@ def _together(samples: list[Sample | None], passed_s: list[float] | None) -> Sam
 
 
 class MachineNode(NodeDevice):
-    """``received_s``: when the frame was received that is handled now, in the time of the machine."""
+    """A node on a machine; ``received_s``: receive time of the present frame, time of the machine."""
 
     time_base = TimeBase()
     received_s = 0.0
@@ -161,7 +159,7 @@ class MachineNode(NodeDevice):
         return super().tick(now, until)
 
     def overhear(self, frame: Frame) -> None:
-        """Before :meth:`receive`."""
+        """Called with each frame before it is processed."""
 
 
 BLOCK_SAMPLES = 1 << 16
@@ -177,14 +175,14 @@ class Continuous(Protocol):
         """The time of the machine, seconds, at the time ``now`` of the node."""
 
     def fast_samples(self, times_s: npt.NDArray[np.float64], seed: tuple[int, int]) -> Block:
-        """Both tracks at these times of the machine; ``seed`` is that of the noise."""
+        """Both tracks at these times of the machine; ``seed`` determines the noise."""
 
 
 class FastRecorder:
     """Samples the encoder from start (2050:01 = 1) to stop (2), or until the memory is full (2050:05).
 
     The samples, at the rate of 2050:04, are a function of time, computed when 2050:03 is read. A reset of the
-    node drops them. Without a :class:`Continuous` source start is refused (08000022h).
+    node deletes them. Without a :class:`Continuous` source, start is refused (08000022h).
     """
 
     def __init__(self, dictionary: Dictionary, source: object, now: Callable[[], float]) -> None:
@@ -208,8 +206,8 @@ class FastRecorder:
         self.reset()
 
     def reset(self) -> None:
-        self._began_s: float | None = None  # time of the node, while it records
-        self._kept = 0  # samples, when it has stopped
+        self._began_s: float | None = None  # start of the recording, time of the node; None: not recording
+        self._kept = 0  # number of samples after the stop
 
     @property
     def is_recording(self) -> bool:
@@ -220,16 +218,16 @@ class FastRecorder:
         if self._began_s is None:
             return self._kept
         passed = max(0.0, self._now() - self._began_s)
-        # The first sample is taken at the start; a sum of times may fall short of a whole by rounding.
+        # The first sample is taken at the start; 1e-6: a whole number may be missed by rounding.
         return min(int(passed * self._rate_hz + 1e-6) + 1, int(self._capacity.value))
 
     def to_bytes(self) -> bytes:
-        """Of whole blocks, so that the noise does not depend on when it is read."""
+        """The recording, computed in whole blocks: so the noise does not depend on the time of reading."""
         count = self.count
         return b"".join(map(self._block, range(-(-count // BLOCK_SAMPLES))))[: 4 * count]
 
     def _block(self, number: int) -> bytes:
-        assert self._source is not None  # else nothing is recorded
+        assert self._source is not None  # without one, start is refused
         places = np.arange(number * BLOCK_SAMPLES, (number + 1) * BLOCK_SAMPLES)
         block = self._source.fast_samples(self._first_s + places / self._rate_hz, (self._number, number))
         return block.astype("<i2").tobytes()
@@ -243,7 +241,7 @@ class FastRecorder:
         self._number += 1
         self._rate_hz = float(self._rate.value)
         self._began_s = self._now()
-        self._first_s = self._source.machine_time(self._began_s)  # time of the machine
+        self._first_s = self._source.machine_time(self._began_s)  # instant of the first sample
 
 
 EDS = "encoder-interface"
@@ -263,11 +261,11 @@ SAMPLE_OBJECTS = (
 class EncoderInterface(MachineNode):
     """A CANopen node, sans-I/O, with the ADC channels in 6401h and TPDO1 at each SYNC.
 
-    A :class:`Machine` is sampled at the time of ``time_base`` at which the SYNC was received, another source
-    has one sample for each SYNC; without one no TPDO is sent. A source that fails is asked again at the next
-    SYNC; ``on_source`` gets one line, and EMCY 5000h is active. 2000:01 is the time of the sample by
-    ``clock``, unless it brings its own; with ``times`` TPDO1 carries it. ``samples_per_sync`` is 1..8;
-    ``store`` keeps what 1010h and LSS save; ``bit_rates_kbit_s`` are those that LSS may choose.
+    A :class:`Machine` is sampled at the receive time of the SYNC (``time_base``); any other source gives one
+    sample for each SYNC. Without a sample no TPDO is sent. A source that fails is read again at the next
+    SYNC; ``on_source`` gets one line, and EMCY 5000h is active. 2000:01 is the time of the sample, from the
+    source or from ``clock``; with ``times`` TPDO1 carries it. ``samples_per_sync`` is 1..8;
+    ``store`` keeps what 1010h and LSS save; LSS may select one of ``bit_rates_kbit_s``.
     """
 
     def __init__(
@@ -288,7 +286,7 @@ class EncoderInterface(MachineNode):
         pairs = [(od.INTERFACE_SINE, od.INTERFACE_COSINE), *od.INTERFACE_EARLIER][:samples_per_sync]
         time = [od.INTERFACE_SAMPLE_TIME] if times else []
         own = od.sample_pdos(od.TPDO, od.TPDO_MAPPING, pairs, time, node_id)
-        del own[od.TPDO, 1]  # the EDS has it
+        del own[od.TPDO, 1]  # the EDS defines its COB-ID
         own[od.IDENTITY_SERIAL_NUMBER] = serial_number
         for place, value in own.items():
             parameter = dictionary.entry(*place)
@@ -297,7 +295,7 @@ class EncoderInterface(MachineNode):
             dictionary, node_id, autostart=autostart, store=store, bit_rates_kbit_s=bit_rates_kbit_s
         )
         self.on_source: Callable[[str], None] = lambda text: None
-        for place in (od.RECORDING_COMMAND, od.RECORDING_RATE, od.INTERFACE_MACHINE):  # nothing to keep
+        for place in (od.RECORDING_COMMAND, od.RECORDING_RATE, od.INTERFACE_MACHINE):  # no parameters
             self.storage.entries.leave_out(*place)
         self._clock = SampleClock() if clock is None else clock
         self.recorder = FastRecorder(self.dictionary, source, self.machine_now)
@@ -311,7 +309,7 @@ class EncoderInterface(MachineNode):
             lambda: self._sampler.at_sync(self.received_s), lambda text: self.on_source(text)
         )
         self.samples = 0  # Samples sent.
-        self.missed = 0  # SYNCs in OPERATIONAL for which the source had none, before its end.
+        self.missed = 0  # SYNCs in OPERATIONAL without a sample, before the end of the source.
         tpdos = numbers(self.dictionary, Direction.TRANSMIT)
         entry, parameters = self.dictionary.entry, COMMUNICATION[Direction.TRANSMIT] - 1
         self._entries = {place: entry(*place) for place in SAMPLE_OBJECTS}
@@ -333,7 +331,7 @@ class EncoderInterface(MachineNode):
         self.samples += 1
         self._keep(sample)
         for number, kind in self._types.items():
-            if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
+            if kind.value == 0:  # FEh and FFh use their event timer: every sample would be too frequent
                 self.trigger_tpdo(number, now)
         return FOLLOWED
 
@@ -354,7 +352,7 @@ class EncoderInterface(MachineNode):
         for places, pair in zip(od.INTERFACE_EARLIER, pairs, strict=False):
             values |= zip(places, pair, strict=True)
         for place, value in values.items():
-            if value is not None:  # else that of before stays
+            if value is not None:  # None: keep the previous value
                 self._entries[place].value = value
 
     def reset_done(self, communication_only: bool, now: float) -> None:
