@@ -1,1 +1,1 @@
-"""Words of CiA 301 that every layer may use: frames, COB-IDs, data types, NMT states, codes."""
+"""Definitions of CiA 301 that every layer may use: frames, COB-IDs, data types, NMT states, codes."""

@@ -1,4 +1,4 @@
-"""COB-ID entries: their flags, the restricted CAN-IDs, and when a new value is allowed."""
+"""COB-ID entries: flags, restricted CAN-IDs, and the rules for a new value."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from canfb.cia301.codes import AbortCode, SdoAbort
 
-NOT_VALID = 1 << 31  # Bit 31 of PDO, SDO and EMCY COB-IDs: the object does not exist.
+NOT_VALID = 1 << 31  # Bit 31 of PDO, SDO and EMCY COB-IDs: the object does not exist (is not valid).
 NO_RTR = 1 << 30  # Bit 30 of a TPDO COB-ID: no remote frame allowed.
 GENERATE = 1 << 30  # Bit 30 of 1005h: the device produces SYNC.
 
@@ -23,8 +23,8 @@ SDO_RESPONSE = 0x580
 SDO_REQUEST = 0x600
 ERROR_CONTROL = 0x700
 NODES = range(1, 128)
-NODE_ID = 0x7F  # of a CAN-ID that has one
-BOOT_UP = b"\0"  # of ERROR_CONTROL: no NMT state of a heartbeat is 0
+NODE_ID = 0x7F  # mask of the node-ID in a CAN-ID of the predefined connection set
+BOOT_UP = b"\0"  # data of a boot-up (ERROR_CONTROL); a heartbeat never has the state 0
 
 _EXTENDED_OR_RESERVED = 0x3FFFF800
 
@@ -57,9 +57,9 @@ def check(
     """Refuse a COB-ID that an 11-bit device cannot use, or a change of one in use: SdoAbort 06090030h (CiA
     301, 7.5.2).
 
-    `exists`: whether the object exists with a value.
+    `exists`: whether the object exists (is valid) with a given value.
     """
-    # The CAN-ID of an object that does not exist is free, unless it is `always_named`.
+    # The CAN-ID of an object that does not exist is arbitrary, unless it is `always_named`.
     restricted = is_restricted(new & CAN_ID) and (always_named or exists(new))
     changed = exists(new) and exists(old) and (new ^ old) & CAN_ID
     if restricted or changed or new & (_EXTENDED_OR_RESERVED | reserved):

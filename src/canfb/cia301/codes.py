@@ -11,7 +11,7 @@ EMERGENCY = struct.Struct("<HB5s")  # code, 1001h and the field of the manufactu
 
 
 class CodeWithText(IntEnum):
-    """An integer code; `.text` says what it means. A member is NUMBER, TEXT."""
+    """An integer code; `.text` is its meaning. A member is NUMBER, TEXT."""
 
     text: str
 
@@ -23,7 +23,7 @@ class CodeWithText(IntEnum):
 
 
 class AbortCode(CodeWithText):
-    """SDO abort codes (CiA 301, 7.2.4.3.17); `.text` says what it means."""
+    """SDO abort codes (CiA 301, 7.2.4.3.17); `.text` is the meaning."""
 
     TOGGLE = 0x05030000, "toggle bit not alternated"
     TIMEOUT = 0x05040000, "SDO protocol timed out"
@@ -59,7 +59,7 @@ class AbortCode(CodeWithText):
 
 
 class EmergencyCode(CodeWithText):
-    """Emergency error codes (CiA 301, 7.2.7.1); `.text` says what it means."""
+    """Emergency error codes (CiA 301, 7.2.7.1); `.text` is the meaning."""
 
     NO_ERROR = 0x0000, "error reset, or no error"
     GENERIC = 0x1000, "generic error"
@@ -91,7 +91,7 @@ class EmergencyCode(CodeWithText):
 
 
 def emergency_text(code: int, own: Mapping[int, str]) -> str:
-    """What an emergency error code (0..FFFFh) means: by ``own`` codes of the device, else by CiA 301."""
+    """Meaning of an emergency error code (0..FFFFh), from the ``own`` codes of the device or CiA 301."""
     texts = {int(known): known.text for known in EmergencyCode} | dict(own)
     nearest = (code, code & 0xFF00, code & 0xF000)
     return next((texts[known] for known in nearest if known in texts), "unknown error")
@@ -110,7 +110,7 @@ class ErrorRegister(IntFlag):
 
 
 class SdoAbort(Exception):
-    """An SDO access is refused, for the reason in `code`. Never leaves the device."""
+    """An SDO access is refused, for the reason in `code`. The device handles it internally."""
 
     def __init__(self, code: AbortCode) -> None:
         super().__init__(f"{code:08X}h {code.text}")
@@ -118,7 +118,7 @@ class SdoAbort(Exception):
 
 
 class NmtState(IntEnum):
-    """NMT state, with the value that a heartbeat shows."""
+    """NMT state, with its value in a heartbeat."""
 
     INITIALISING = 0
     STOPPED = 4

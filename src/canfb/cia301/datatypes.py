@@ -1,4 +1,4 @@
-"""The data types of CiA 301 (7.4.7): how a value becomes bytes and back."""
+"""The data types of CiA 301 (7.4.7): conversion of values to bytes and back."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class DataType(IntEnum):
     UNSIGNED64 = 0x1B
 
 
-# The types that `struct` knows; little-endian ("<") throughout.
+# Formats of `struct` for the types it supports; always little-endian ("<").
 FORMATS: dict[int, str] = {
     DataType.BOOLEAN: "?",
     DataType.INTEGER8: "b",
@@ -108,7 +108,7 @@ def zero(data_type: int) -> Any:
 def encode(data_type: int, value: Any) -> bytes:
     """Bytes of a value, little-endian.
 
-    Raises ValueError when the value does not fit the type: a mistake of the code that set it.
+    ValueError if the value does not fit the type: an error of the code that set it.
     """
     try:
         packer = _STRUCTS.get(data_type)

@@ -1,4 +1,4 @@
-"""A CAN frame, what goes in and comes out of a node; and how objects fill the frames of PDOs."""
+"""A CAN frame, input and output of a node; and the distribution of objects to PDOs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Frame(NamedTuple):
 
 
 def frame_bits(data_bytes: int, *, extended: bool = False) -> int:
-    """Bits of a data frame on the wire, the most stuff bits and the interframe space included (ISO 11898-1).
+    """Bits of a data frame on the wire, with the most stuff bits and the interframe space (ISO 11898-1).
 
     ``data_bytes`` is 0 to 8, ``extended``: with a 29-bit identifier.
     """
@@ -55,7 +55,7 @@ LONGEST_BITS = 64
 
 
 def in_pdos(mapped: Iterable[int]) -> list[list[int]]:
-    """Mapping entries (index, sub-index, bits), shared out to as many PDOs as they need."""
+    """Distribute mapping entries (index, sub-index, bits) to as many PDOs as they need."""
     pdos: list[list[int]] = [[]]
     for entry in mapped:
         if sum(one & 0xFF for one in pdos[-1]) + (entry & 0xFF) > LONGEST_BITS:
@@ -65,7 +65,7 @@ def in_pdos(mapped: Iterable[int]) -> list[list[int]]:
 
 
 def mapping_values(first_index: int, mapped: Iterable[int]) -> dict[tuple[int, int], int]:
-    """The mapping parameters, by index and sub-index, of the PDOs that :func:`in_pdos` gives."""
+    """The mapping parameters, by index and sub-index, of the PDOs of :func:`in_pdos`."""
     values: dict[tuple[int, int], int] = {}
     for index, entries in enumerate(in_pdos(mapped), first_index):
         values |= {(index, place): entry for place, entry in enumerate(entries, 1)}
