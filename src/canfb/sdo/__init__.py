@@ -1,1 +1,1 @@
-"""What the commands sdo, table and backup do."""
+"""The commands sdo, table and backup."""

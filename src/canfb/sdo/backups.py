@@ -1,5 +1,5 @@
-"""A backup of a module: YAML, each parameter with its name and unit; and back into a module: written, proven,
-saved; or undone."""
+"""A backup of a module in YAML, each parameter with its name and unit; and restoring it: write, verify, save,
+or roll back."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class NodeIdentity(NamedTuple):
 
 @dataclass(frozen=True)
 class Backup:
-    """Its content.
+    """The content of a backup.
 
     date           ISO 8601
     table          the bytes of 2020:01, empty for the identity
@@ -85,14 +85,14 @@ def backup_text(backup: Backup, described: ObjectDescriptions) -> str:
 
 
 def read_backup(path: Path, described: ObjectDescriptions, accept_unknown: bool = False) -> Backup:
-    """CommissioningError, with line and key, for anything else."""
+    """Read a backup. CommissioningError, with line and key, for invalid content."""
     data = read_bytes(path, CommissioningError)
     with saying(CommissioningError, str(path), ValueError):
         return _BackupReader(MarkedYaml(data), described, accept_unknown).backup()
 
 
 class _BackupReader:
-    """ValueError, with line and key."""
+    """Reads the YAML of a backup. ValueError, with line and key."""
 
     def __init__(self, marked: MarkedYaml, described: ObjectDescriptions, accept_unknown: bool) -> None:
         self._marked = marked
@@ -216,12 +216,12 @@ class Configured(Protocol):
         """The value of each object."""
 
     def writes(self) -> Sequence[Write]:
-        """SDO writes, in their order, for Pre-operational."""
+        """SDO writes, in order, for PRE-OPERATIONAL."""
 
 
 @dataclass(frozen=True)
 class Restored:
-    """``changes``: values before and of the backup; ``untouched``: not in it."""
+    """``changes``: values before, and in the backup; ``untouched``: objects that it lacks."""
 
     module: NodeAccess
     identity: NodeIdentity
@@ -242,10 +242,10 @@ def restore_backup(
     preop: bool = False,
     dry_run: bool = False,
 ) -> Restored:
-    """Write, prove, save. CommissioningError if anything fails; all is then as before.
+    """Write, verify, save. CommissioningError if anything fails, after a roll-back.
 
-    ``read`` gives the configuration of the module, or CanfbError. ``made`` makes that of the backup over the
-    values of before. ``keep``: save; ``force``: also of another major revision.
+    ``read`` gives the configuration of the module, or CanfbError. ``made`` gets its values, and gives the
+    configuration with the values of the backup. ``keep``: save; ``force``: accept another major revision.
     """
     identity = _checked_identity(module, backup, force)
     before = read()
@@ -271,7 +271,7 @@ def restore_backup(
     if not dry_run:
         if changes:
             if module.read_known(od.WRITE_LOCK_MODE) == od.WriteLockMode.CODE:
-                check_unlocked(module)  # before the machine loses its samples
+                check_unlocked(module)  # before PRE-OPERATIONAL stops the samples
             _leave_operational(module, preop)
         saved_as = change(
             module,
@@ -319,7 +319,7 @@ def _leave_operational(module: NodeAccess, preop: bool) -> None:
 
 
 def _write(module: NodeAccess, configured: Configured, *, with_table: bool) -> None:
-    """Without ``with_table`` no activation, which forgets drift."""
+    """Write the configuration; without ``with_table`` no activation, which would reset the drift."""
     for one in configured.writes():
         place = one.index, one.subindex
         write = module.download_domain if place == od.TABLE_STAGED else module.write_bytes
@@ -328,12 +328,12 @@ def _write(module: NodeAccess, configured: Configured, *, with_table: bool) -> N
 
 
 def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, Any]]:
-    """The objects that differ; None for a missing one."""
+    """The values of objects that differ; None: missing."""
     values, others = one.values(), other.values()
-    # The staged table is compared by the CRC of the active one.
+    # The CRC of the active table is compared instead of the staged data.
     places = sorted((values.keys() | others.keys()) - {od.TABLE_STAGED})
     pairs = {place: (values.get(place), others.get(place)) for place in places}
-    # Two NaN are the same.
+    # Two NaN count as equal.
     return {place: (one, to) for place, (one, to) in pairs.items() if one != to and (one == one or to == to)}
 
 

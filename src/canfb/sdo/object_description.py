@@ -19,8 +19,8 @@ from canfb.master.access import CommissioningError
 from canfb.rows import listed
 
 Place = tuple[int, int]
-LONGEST_NAME = 80  # in a message
-EXPEDITED = 4  # Bytes of an SDO answer in one frame (CiA 301, 7.2.4.3.3).
+LONGEST_NAME = 80  # longest text quoted in a message
+EXPEDITED = 4  # Data bytes of an expedited answer (CiA 301, 7.2.4.3.3).
 _COMMUNICATION = range(0x1000, 0x2000)
 _NUMBERED = re.compile(r"(?:0x)?([0-9a-f]{4})h?(?:[:.](?:0x)?([0-9a-f]{1,2})h?)?", re.IGNORECASE)
 
@@ -54,14 +54,15 @@ class ObjectDescription(eds.Description):
 
     @property
     def holds_bits(self) -> bool:
-        # A COB-ID, what is mapped, or a CRC.
+        # UNSIGNED32 without a unit is a COB-ID, a mapping entry or a CRC: hexadecimal.
         is_plain = self.data_type == datatypes.DataType.UNSIGNED32 and not self.unit
         return is_plain and (self.index in _COMMUNICATION or "CRC" in self.name)
 
     def decode(self, data: bytes) -> Any:
         """The value of bytes from the bus; ValueError for too few.
 
-        The type decides how many of an expedited answer count: some slaves do not say (42h), or say four.
+        The type determines how many bytes of an expedited answer are used: some slaves do not indicate the
+        size (42h), or always indicate four.
         """
         size = datatypes.byte_length(self.data_type)
         if size and len(data) <= EXPEDITED:
@@ -90,16 +91,16 @@ class ObjectDescriptions:
         return self._entries.get((index, subindex))
 
     def entry(self, index: int, subindex: int) -> ObjectDescription:
-        """KeyError if there is none."""
+        """The entry; KeyError if missing."""
         return self._entries[index, subindex]
 
     def of_object(self, index: int) -> list[ObjectDescription]:
         return [self._entries[place] for place in sorted(self._entries) if place[0] == index]
 
     def meant(self, text: str) -> list[ObjectDescription]:
-        """The entry, or all of a record or array, by number (2010:01) or the beginning of a name.
+        """The entry, or all entries of a record or array, by number (2010:01) or the beginning of a name.
 
-        ConfigError for none or several.
+        ConfigError for no or several matches.
         """
         place = numbered(text)
         text = text[:LONGEST_NAME]

@@ -1,4 +1,4 @@
-"""Objects of a node by name: what ``canfb sdo`` reads and writes."""
+"""Reading and writing objects of a node by name, for ``canfb sdo``."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def type_name(data_type: int) -> str:
 
 
 def value_range(data_type: int, low: float | None = None, high: float | None = None) -> tuple[float, float]:
-    """Of a type of numbers, within ``low`` and ``high``."""
+    """Lowest and highest value of a numeric type, within ``low`` and ``high``."""
     lowest, highest = -math.inf, math.inf
     if data_type not in datatypes.FLOATS:
         bits, signed = datatypes.bit_length(data_type), data_type in datatypes.SIGNED_BITS
@@ -40,7 +40,7 @@ def value_range(data_type: int, low: float | None = None, high: float | None = N
 
 
 def check_value(data_type: int, value: Any, low: float | None = None, high: float | None = None) -> Any:
-    """``value`` as its type has it, or ValueError."""
+    """``value`` converted to the type, or ValueError."""
     if data_type in datatypes.FLOATS:
         value = _real(data_type, value, *value_range(data_type, low, high))
     elif data_type in datatypes.STRINGS:
@@ -57,7 +57,7 @@ def check_value(data_type: int, value: Any, low: float | None = None, high: floa
         lowest, highest = value_range(data_type, low, high)
         if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
             raise ValueError(f"must be a whole number {lowest}..{highest}, not {value!r}")
-    datatypes.encode(data_type, value)  # says what the type cannot hold: a text beyond Latin-1
+    datatypes.encode(data_type, value)  # ValueError, e.g. for a text beyond Latin-1
     return value
 
 
@@ -73,7 +73,7 @@ def _real(data_type: int, value: Any, lowest: float, highest: float) -> float:
 
 
 def parse_value(data_type: int, text: str, low: float | None = None, high: float | None = None) -> Any:
-    """Of a text (12, 0x1F, -3.5, on, DE AD BE EF), or ValueError."""
+    """The value of a text (12, 0x1F, -3.5, on, DE AD BE EF), or ValueError."""
     value: Any = text
     if data_type in datatypes.BYTES or data_type not in datatypes.KNOWN:
         value = _parsed(bytes.fromhex, text, "bytes in hexadecimal such as 01FF")
@@ -94,7 +94,7 @@ def _parsed(how: Callable[[str], Any], text: str, what: str) -> Any:
 
 
 def short_real(value: float, data_type: int = DataType.REAL32) -> float:
-    """The shortest float that is the same REAL32."""
+    """The float with the fewest digits that gives the same REAL32."""
     return float(real_as_text(data_type, value, Reals.DECIMAL)) if math.isfinite(value) else value
 
 
@@ -144,7 +144,7 @@ _TO_DO: dict[int, str] = {
 }
 
 _NO_PRESET = "a preset needs a valid position at standstill: stop the machine (canfb why, if it is not valid)"
-# What to do where an object of ours is refused in this state of the node (08000022h).
+# Advice if an object of canfb is refused because of the device state (08000022h).
 _OF_PLACE: dict[str, dict[Place, str]] = {
     MODULE: {
         od.PRESET_VALUE: _NO_PRESET,
@@ -159,7 +159,7 @@ _OF_PLACE: dict[str, dict[Place, str]] = {
 
 
 def in_words(product: str, place: Place, value: object) -> str:
-    """An enumeration or bits in words, or ""."""
+    """An enumeration or bits in words; "": neither."""
     kind = _kind(product, place)
     if product == MODULE and place == od.MEASUREMENT_REASON and isinstance(value, int):
         return str(Reason.of_number(value).text) if value else ""
@@ -173,7 +173,7 @@ def in_words(product: str, place: Place, value: object) -> str:
 
 
 def words_of(product: str, place: Place) -> Mapping[str, int]:
-    """The numbers of words such as start."""
+    """Words, such as start, and their values."""
     if place[0] in SIGNATURES and place[1]:
         return SIGNATURES[place[0]]
     kind = _kind(product, place)
@@ -203,8 +203,8 @@ def _spoken(name: str) -> str:
 MOST_BYTES = 32
 _PART = re.compile(r"1/(\d+|2\^\d+) (\D.*)")
 SUPERVISION = (0x2001, 0x2010)
-WATCH_S, LOOK_S = 2.0, 0.25  # for the rate of the samples
-RATE_SAMPLES = 40  # give it to 3 %; at slower SYNC as many as come
+WATCH_S, LOOK_S = 2.0, 0.25  # longest measurement of the sample rate, and interval of its readings
+RATE_SAMPLES = 40  # number that gives the rate within 3 %; with slow SYNC fewer
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ class Reading:
 
 
 def _part(unit: str) -> tuple[int, str] | None:
-    """65536 and "cycle" of the unit 1/65536 cycle; None for a whole unit."""
+    """65536 and "cycle" for the unit 1/65536 cycle; None for a unit without divisor."""
     match = _PART.fullmatch(unit)
     if match is None:
         return None
@@ -277,7 +277,7 @@ def _times(unit: str) -> str:
 
 
 def raw_text(unit: str, text: str) -> str:
-    """A shown value (0.2, "0.2 cycle") as the number of the object (13107), or ValueError."""
+    """The number in the object (13107) for a displayed value (0.2, "0.2 cycle"), or ValueError."""
     part = _part(unit)
     if part is None:
         return text.removesuffix(_times(unit)).rstrip() if unit else text
@@ -285,7 +285,7 @@ def raw_text(unit: str, text: str) -> str:
 
 
 def _written(before: Reading | None, now: Reading | None, value: Reading, warning: str) -> Result:
-    """``before`` and ``now`` are None where it cannot be read."""
+    """The result of a write; ``before`` and ``now`` are None if unreadable."""
     line = f"{value.line()}, written"
     if before is not None and now is not None:
         line = f"{value.entry.number} {value.entry.title}: {before.text()} -> {now.text()}"
@@ -308,7 +308,7 @@ class SdoTasks:
             raise CommissioningError(f"{meant[0].number} {meant[0].title} is write only")
         if len(readable) > 1:
             readable = [entry for entry in readable if entry.subindex or entry.index in _COUNTED]
-        if readable[0].place == _ERRORS:  # those that it counts; the others are refused
+        if readable[0].place == _ERRORS:  # reading beyond the number in 1003:00 is refused
             readable = readable[: 1 + self._node.integer(*_ERRORS, "B")]
         return [self._read(entry) for entry in readable]
 
@@ -396,12 +396,12 @@ class SdoTasks:
 
 
 _ERRORS = (0x1003, 0)
-# Objects whose sub-index 0 says more than how many there are.
+# Objects whose sub-index 0 is more than the number of entries.
 _COUNTED = frozenset({_ERRORS[0], *range(0x1600, 0x1800), *range(0x1A00, 0x1C00)})
 
 
 def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDescriptions:
-    """The EDS, of those ``known``, by 1018h; or ConfigError."""
+    """The EDS of the node, selected from ``known`` by 1018h; or ConfigError."""
     vendor, product = (node.integer(*place, "I") for place in od.IDENTITY[:2])
     for described in (ObjectDescriptions(path, node.node_id) for path in known):
         if described.identity == (vendor, product):

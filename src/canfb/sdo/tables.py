@@ -1,5 +1,5 @@
-"""Correction tables as files (YAML, or the bytes of 2020:01), and what ``canfb table`` does to a module, as a
-whole or not at all."""
+"""Correction tables as files (YAML, or the bytes of 2020:01), and the changes that ``canfb table`` makes in a
+module, as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from canfb.signal.limits import PHASE_ERROR_CYCLES
 from canfb.view.module_view import LIMIT_UNITS
 
 DELAYS = frozenset({"cosine_delay_s", "delay_s"})
-# Keys of a table file that say with which encoder and analog path the table was measured.
+# Keys of a table file that describe encoder and analog path of the measurement.
 NOTED = {
     "cycles_per_revolution": od.ENCODER_CYCLES_PER_REVOLUTION,
     "corner_hz": od.ENCODER_CORNER_FREQUENCY,
@@ -49,7 +49,7 @@ NOTED = {
 
 
 def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
-    """``meta``, conditioning, then the entries, in cycles."""
+    """YAML of ``meta``, conditioning and entries, in cycles."""
     table = used.table or CorrectionTable.identity()
     content = {
         "canfb_table": 1,
@@ -57,7 +57,7 @@ def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
         "crc32": f"{table.crc32:08X}",
         "conditioning": conditioning_words(used.conditioning),
     }
-    # Nine digits bring every REAL32 back exactly.
+    # Nine digits reproduce every REAL32 exactly.
     entries = [float(f"{value:.9g}") for value in table.entries.tolist()]
     head: str = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
     listed: str = yaml.safe_dump({"entries": entries}, default_flow_style=None, width=100)
@@ -67,7 +67,7 @@ def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
 
 
 def conditioning_words(conditioning: Conditioning) -> dict[str, float]:
-    """2002:01..07 by name, and the harmonics (2005h) that are there."""
+    """2002:01..07 by name, and the harmonics (2005h) that are not zero."""
     words = conditioning.words.items()
     return {name: float(value) for name, value in words if value or not name.startswith("harmonic")}
 
@@ -90,10 +90,10 @@ def conditioning_in_words(conditioning: Conditioning) -> str:
 
 @dataclass(frozen=True)
 class TableFile:
-    """Its content.
+    """The content of a table file.
 
     with_conditioning   False for bytes of 2020:01
-    with_delays         it has 2002:06 and 2002:07
+    with_delays         it contains 2002:06 and 2002:07
     noted               values of :data:`NOTED`
     """
 
@@ -110,7 +110,7 @@ class TableFile:
         return None if cycles is None else int(cycles)
 
     def for_module(self, active: Conditioning) -> Correction:
-        """What it does not know of 2002h stays ``active``."""
+        """The correction for a module; parts of 2002h that the file lacks are ``active``."""
         if not self.with_conditioning:
             return Correction(self.used.table, active)
         if self.with_delays:
@@ -119,7 +119,7 @@ class TableFile:
 
 
 def read_table(path: Path) -> TableFile:
-    """CommissioningError for no table file."""
+    """Read a table file; CommissioningError if it is not a table."""
     data = read_bytes(path, CommissioningError)
     with saying(CommissioningError, f"{path}: this is not a correction table", ValueError, TypeError):
         if is_yaml(path):
@@ -149,7 +149,7 @@ def _from_yaml(path: Path, data: bytes) -> TableFile:
 
 
 def table_in(marked: MarkedYaml, content: Any, *above: str) -> CorrectionTable:
-    """Of entries, and their crc32 if noted. ValueError with the line."""
+    """The table of the entries, checked by crc32 if present. ValueError with the line."""
     try:
         table = CorrectionTable(content["entries"])
     except (ValueError, TypeError) as error:
@@ -164,7 +164,7 @@ def table_in(marked: MarkedYaml, content: Any, *above: str) -> CorrectionTable:
 def check_keys(
     marked: MarkedYaml, content: Any, known: Collection[str], needed: Collection[str], *above: str
 ) -> None:
-    """A mapping with these keys, or ValueError."""
+    """ValueError unless ``content`` is a mapping with these keys."""
     if not isinstance(content, dict):
         raise wrong(marked, f"must be a mapping with {', '.join(known)}, not {content!r}", *above)
     for key in content:
@@ -182,7 +182,7 @@ def wrong(marked: MarkedYaml, text: str, *keys: Any) -> ValueError:
 
 def _conditioning(marked: MarkedYaml, words: dict[str, float]) -> Conditioning:
     try:
-        Conditioning(**words)  # which refuses what is no number
+        Conditioning(**words)  # ValueError for a value that is not a number
         return Conditioning(**{key: as_real32(value) for key, value in words.items()})
     except ValueError as error:
         named = [key for key in words if str(error).startswith(key)]
@@ -199,7 +199,7 @@ class TableState:
 
     staged_crc32   2020:02, 0: nothing is staged; None: a file
     saved_crc32    2020:06, 0: the identity; None: not known
-    waiting        2002h and 2005h, not yet in force
+    waiting        2002h and 2005h, if not yet in force
     """
 
     name: str
@@ -221,7 +221,7 @@ class TableState:
 
     @property
     def saved(self) -> bool | None:
-        """Whether a reset brings this table back; None: not known."""
+        """Whether a reset restores this table; None: not known."""
         return None if self.saved_crc32 is None else self.saved_crc32 == self.used.crc32
 
     def rows(self) -> list[Row]:
@@ -294,7 +294,7 @@ class TableState:
 
 
 def difference(one: CorrectionTable | None, other: CorrectionTable | None) -> tuple[float, float]:
-    """Rms and peak, cycles; None is the identity."""
+    """Rms and peak of the difference, cycles; None is the identity."""
     length = max(len(table) for table in (one, other) if table is not None) if one or other else 1
     raw = np.arange(length) / length
     phases, others = (raw if table is None else np.asarray(table(raw)) for table in (one, other))
@@ -307,20 +307,20 @@ AS_IT_WAS = "the previous table and conditioning"
 
 
 class TableTasks:
-    """``guard`` keeps interruptions away from what puts things back."""
+    """Changes of the table of a module; ``guard`` protects the roll-back from interruption."""
 
     def __init__(self, module: NodeAccess, guard: Guard) -> None:
         self._module = module
         self._guard = guard
 
     def upload(self, file: TableFile, *, active: bool, keep: bool, force: bool = False) -> Result:
-        """Stage the table of a file and prove it. ``active`` puts it in force, ``keep`` saves it.
+        """Stage the table of a file and verify it. ``active`` puts it in force, ``keep`` saves it.
 
         CommissioningError if anything fails or, unless ``force``, if the amplitude would leave its limits;
         at most a staged table is left then.
         """
         before, table = read_active(self._module), file.used.table
-        assert table is not None  # every table file has one
+        assert table is not None  # every table file contains one
         new, notes = file.for_module(before.conditioning), self._other_settings(file)
         if active:
             self._check_amplitude(before.conditioning, new.conditioning, force)
@@ -343,7 +343,7 @@ class TableTasks:
         return self._result(done, before, None)
 
     def clear(self, *, conditioning: bool, keep: bool) -> Result:
-        """Back to the identity, the ``conditioning`` too."""
+        """Activate the identity table; ``conditioning``: also reset the conditioning."""
         before = read_active(self._module)
         new = Correction(None, IDENTITY if conditioning else before.conditioning)
         done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
@@ -374,7 +374,7 @@ class TableTasks:
         return Result(as_figures(state.rows()) | {"file": str(path)}, lines)
 
     def _other_settings(self, file: TableFile) -> list[str]:
-        """2001h where it differs from that of the measurement: set up by hand, no part of a table."""
+        """Values of 2001h that differ from the measurement; they are not part of a table, so set by hand."""
         node = f"{self._module.node_id:#04x}"
         return [
             f"note: it was measured with {text} = {value:.9g}, {self._module.name} has {there:.9g}: "
@@ -425,7 +425,7 @@ class TableTasks:
     def _in_force(
         self, before: Correction, new: Correction | None, keep: bool, put: Callable[[], None]
     ) -> dict[str, Any]:
-        """A failure leaves ``before``."""
+        """Put the change in force; a failure restores ``before``."""
         if keep:
             check_can_save(self._module)
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
@@ -434,7 +434,7 @@ class TableTasks:
 
         def act() -> None:
             if declared is not None and new is not None and new.table is None:
-                # Without a table a phase is no better than by default.
+                # Without a table the phase error is at least the default.
                 least = round(PHASE_ERROR_CYCLES * LIMIT_UNITS)
                 self._module.write(*od.SUPERVISION_PHASE_ERROR, "H", max(declared, least))
             put()
@@ -461,7 +461,7 @@ class TableTasks:
         head: Sequence[str] = (),
         notes: Sequence[str] = (),
     ) -> Result:
-        """What the module has then, and by how much positions move; ``new`` None: what was staged."""
+        """The new state of the module, and the shift of positions; ``new`` None: only staged."""
         saved = f"saved ({done['saved_as']})" if done["saved_as"] else ""
         try:
             state = TableState.of_module(self._module)
