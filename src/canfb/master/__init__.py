@@ -1,1 +1,1 @@
-"""The master's side of tools: objects by SDO, samples, changes that are undone."""
+"""Tools as master of the bus: objects by SDO, samples, changes with undo."""

@@ -1,7 +1,7 @@
-"""A bus for tools; objects of a node by SDO; its NMT state, whether it restarted, and restarting a module.
+"""A bus for tools; objects of a node by SDO; its NMT state, detection of a restart, and restarting a module.
 
-A module is restarted at standstill only: whole cycles per interval look like a rest. So the machine is
-watched before and after the reset.
+A module is restarted at standstill only: after a start it cannot distinguish whole cycles per interval from
+standstill. So the machine is observed before the reset.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from canfb.cia301.codes import AbortCode, NmtCommand, NmtState
 from canfb.errors import CanfbError, reason
 from canfb.signal.speeds import STILL_SAMPLES, apart
 
-# :class:`canfb.bus.sdo_channel.SharedClient`: canopen's client, with its turn and what disturbed it.
+# :class:`canfb.bus.sdo_channel.SharedClient`: canopen's client, with `turn` and `disturbed`.
 Client = Any
 SEGMENT = 7
 
@@ -50,9 +50,9 @@ def _store(client: Client, index: int, subindex: int, data: bytes, block: bool) 
 
 @contextlib.contextmanager
 def _opened(client: Client, *place: Any, **options: Any) -> Iterator[Any]:
-    """A stream; the transfer is aborted when anything goes wrong.
+    """A stream of canopen; any exception aborts the transfer.
 
-    Closing canopen's streams would end it as if all data had been sent.
+    Closing the stream instead would end the transfer as if all data had been sent.
     """
     stream = client.open(*place, buffering=0, **options)
     try:
@@ -66,12 +66,12 @@ def _opened(client: Client, *place: Any, **options: Any) -> Iterator[Any]:
 
 
 OnFrame = Callable[[int, bytes, float], None]  # Gets CAN-ID, data and time stamp (s) of a data frame.
-Progress = Callable[[float], None]  # Gets the part that is done, 0..1.
+Progress = Callable[[float], None]  # Gets the progress, 0..1.
 ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
-# What a server says of a transfer that another client has ended by a request of its own.
+# Abort codes of a server for a transfer that the request of another client has ended.
 BROKEN = (AbortCode.TOGGLE, AbortCode.COMMAND, AbortCode.SEQUENCE_NUMBER, AbortCode.TIMEOUT)
 ATTEMPTS = 6
-# REAL32 that :meth:`NodeAccess.read_known` reads.
+# Objects that :meth:`NodeAccess.read_known` reads as REAL32.
 REALS = frozenset(
     {
         od.ENCODER_CORNER_FREQUENCY,
@@ -87,15 +87,15 @@ REALS = frozenset(
     }
 )
 REAL32 = struct.Struct("<f")
-SETTLE_S = 0.05  # for frames of an aborted block transfer that are still in transit
+SETTLE_S = 0.05  # time until all frames of an aborted block transfer have arrived
 
 
 class CommissioningError(CanfbError):
-    """A step that did not work."""
+    """A step failed."""
 
 
 class RefusedError(CommissioningError):
-    """With the abort ``code``."""
+    """The node refused an SDO access; ``code``: abort code."""
 
     def __init__(self, text: str, code: int = AbortCode.GENERAL) -> None:
         super().__init__(text)
@@ -116,7 +116,7 @@ class Master(Protocol):
         """Call ``on_frame`` with CAN-ID, data, time stamp (s)."""
 
     def unsubscribe(self, can_id: int, on_frame: OnFrame) -> None:
-        """No more of it."""
+        """End a subscription."""
 
     def send(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Send a data frame, or a remote frame."""
@@ -125,11 +125,11 @@ class Master(Protocol):
         """Seconds, monotonic."""
 
     def wait(self, duration_s: float) -> None:
-        """Let time pass."""
+        """Wait."""
 
 
 class Unchanged:
-    """How long a value has been the same one."""
+    """Measures for how long a value has not changed."""
 
     def __init__(self, master: Master, value: int | None = None) -> None:
         self._master = master
@@ -153,14 +153,14 @@ def subscribed(master: Master, callbacks: Iterable[tuple[int, OnFrame]]) -> Iter
 
 @contextlib.contextmanager
 def received(master: Master, can_id: int) -> Iterator[list[bytes]]:
-    """The data of each frame with this CAN-ID that comes meanwhile."""
+    """The data of each frame with this CAN-ID that is received during the context."""
     frames: list[bytes] = []
     with subscribed(master, [(can_id, lambda can_id, data, at: frames.append(bytes(data)))]):
         yield frames
 
 
 class NodeAccess:
-    """Objects of one node by SDO. CommissioningError for what fails."""
+    """Objects of one node by SDO. CommissioningError for failures."""
 
     def __init__(self, master: Master, node_id: int, name: str) -> None:
         if node_id > cob.NODE_ID:
@@ -186,14 +186,14 @@ class NodeAccess:
         return int(self.read(index, subindex, layout))
 
     def integer_if_there(self, place: od.Multiplexer, layout: str) -> int | None:
-        """None also where the node does not answer."""
+        """An integer; None if it is missing or the node does not answer."""
         try:
             return self.integer(*place, layout)
         except CommissioningError:
             return None
 
     def read_known(self, place: od.Multiplexer) -> int | float | None:
-        """A number, or None where it is refused."""
+        """A number; None if refused."""
         try:
             data = self.read_bytes(*place)
         except RefusedError:
@@ -222,7 +222,7 @@ class NodeAccess:
         return self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
 
     def upload_domain(self, index: int, subindex: int, progress: Progress = lambda part: None) -> bytes:
-        """By block transfer or segmented; ``progress`` gets 0..1."""
+        """Upload by block transfer, else segmented; ``progress`` gets 0..1."""
         return self._by_blocks(
             "reading", index, subindex, lambda client, block: _fetch(client, index, subindex, block, progress)
         )
@@ -235,7 +235,7 @@ class NodeAccess:
     def _by_blocks(
         self, doing: str, index: int, subindex: int, act: Callable[[Client, bool], bytes]
     ) -> bytes:
-        """Segmented if that fails: some servers have none."""
+        """Block transfer; segmented if that fails: some servers lack it."""
         try:
             return self._transfer(doing, index, subindex, lambda client: act(client, True))
         except ObjectAbsentError:
@@ -264,7 +264,7 @@ class NodeAccess:
             kind = ObjectAbsentError if error.code in ABSENT else RefusedError
             return kind(f"{what} is refused: {error}", error.code)
         if isinstance(error, SdoError):
-            self.master.wait(0.0)  # says so if it is the bus that has failed
+            self.master.wait(0.0)  # raises BusError if the bus has failed
             said = str(error).rstrip(".")
             if said == "No SDO response received":
                 said = (
@@ -274,19 +274,19 @@ class NodeAccess:
             return CommissioningError(f"{what}: {said}")
         if isinstance(error, (can.CanError, OSError)):
             return CommissioningError(f"{what}: {reason(error)}")
-        # What canopen's streams come to on answers that they did not expect.
+        # Exceptions of canopen's streams after an unexpected answer.
         return CommissioningError(f"{what}: the response is invalid ({error})")
 
 
 def as_real32(value: float) -> float:
-    """The value a REAL32 holds, or infinity."""
+    """``value`` rounded to REAL32, or infinity."""
     return ctypes.c_float(value).value
 
 
 HEARTBEAT_TIME, GUARD_TIME = od.Multiplexer(0x1017), od.Multiplexer(0x100C)
-LATE = 1.5  # periods within which a heartbeat, or a response to another master, is heard
+LATE = 1.5  # periods to wait for a heartbeat, or for a response to another master
 ANSWER_S = 0.1
-ASKED = 3  # times, as a remote frame may be lost
+ASKED = 3  # number of remote frames sent, as one may be lost
 STEP_S = 0.005
 STATES = {int(state): state for state in NmtState} | {0: NmtState.PRE_OPERATIONAL}
 
@@ -297,7 +297,7 @@ def state_in(data: bytes) -> NmtState | None:
 
 
 def nmt_state(node: NodeAccess) -> NmtState:
-    """By heartbeat (1017h), guarding (100Ch) or a remote frame; CommissioningError if not known."""
+    """The NMT state by heartbeat (1017h), guarding (100Ch) or remote frame; CommissioningError if unknown."""
     heartbeat_s = node.integer(*HEARTBEAT_TIME, "H") / 1000
     with received(node.master, cob.ERROR_CONTROL + node.node_id) as heard:
         if heartbeat_s:
@@ -319,7 +319,7 @@ def nmt_state(node: NodeAccess) -> NmtState:
 
 @contextlib.contextmanager
 def without_restart(node: NodeAccess) -> Iterator[Callable[[], None]]:
-    """CommissioningError at the end after a restart; yields the check."""
+    """CommissioningError at the end if the node has restarted; yields the check for use in between."""
 
     def check() -> None:
         if cob.BOOT_UP in heard:
@@ -337,16 +337,16 @@ def _wait_until(master: Master, within_s: float, holds: Callable[[], object]) ->
     return held
 
 
-LEAST_SAMPLES = 100  # in which it is watched where its position is known: 0.0002 cycle a sample is seen
-PATIENCE_S = 2.0  # for the next sample
-LARGEST_SPREAD_CYCLES = 0.02  # of the phase at standstill: noise, and a drive that holds its position
-BOOT_UP_S = 5.0  # and until its position is valid
+LEAST_SAMPLES = 100  # samples of a look if the position is valid; motion of 0.0002 cycle per sample shows
+PATIENCE_S = 2.0  # longest wait for the next sample
+LARGEST_SPREAD_CYCLES = 0.02  # of the phase at standstill: noise, and a drive that controls its position
+BOOT_UP_S = 5.0  # longest time from reset to boot-up, and from start to a valid position
 UNITS = 65536.0
 
 
 @dataclass(frozen=True)
 class MachineLook:
-    """Spread of the phase in cycles, samples, cycles counted."""
+    """Motion before a reset: range of the phase in cycles, number of samples, cycles counted."""
 
     spread_cycles: float
     samples: int
@@ -364,10 +364,10 @@ class MachineLook:
 
 
 def watch_standstill(module: NodeAccess, progress: Progress) -> MachineLook:
-    seen: dict[int, float] = {}  # phases, by the number of the sample
+    seen: dict[int, float] = {}  # raw phases by sample number
     counts: list[int] = []
     known = module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID
-    least = LEAST_SAMPLES if known else STILL_SAMPLES  # a lost one needs so many equal ones before its reset
+    least = LEAST_SAMPLES if known else STILL_SAMPLES  # with a lost position only the phase can show motion
     newest = Unchanged(module.master, 0)
     while len(seen) < least and newest.seconds(len(seen)) < PATIENCE_S:
         status = module.integer(*od.FEEDBACK_STATUS, "H")
@@ -387,7 +387,7 @@ def watch_standstill(module: NodeAccess, progress: Progress) -> MachineLook:
         )
     first, *_ = seen.values()
     off = [apart(phase, first) for phase in seen.values()]
-    # A cycle more or less is a phase near 0, which goes to and fro with its noise.
+    # One cycle more or less may be noise of a phase near 0.
     moved = counts[-1] - counts[0] if counts else 0
     return MachineLook(max(off) - min(off), len(seen), moved if abs(moved) > 1 else 0)
 
@@ -397,7 +397,8 @@ def reset_nodes(
 ) -> list[dict[str, Any]]:
     """Reset nodes; CommissioningError, and no reset, if the machine of a module among them moves.
 
-    A single module is started and waited for. ``force``: without a look. What was done, for programs.
+    A single module is then started, and must become valid. ``force``: skip the check of motion. Returns what
+    was done, for JSON.
     """
     found = [NodeAccess(master, node, "node") for node in nodes]
     modules = (
@@ -428,9 +429,9 @@ def _refuse_motion(module: NodeAccess, progress: Progress, before: int, of: int)
 def reset_module(
     module: NodeAccess, command: NmtCommand, progress: Progress, *, force: bool = False
 ) -> dict[str, Any]:
-    """Reset a module at standstill, start it, and see that its position is valid.
+    """Reset a module at standstill, start it, and wait until its position is valid.
 
-    ``force``: without a look at the machine. CommissioningError if it moves or does not come back valid.
+    ``force``: skip the check of motion. CommissioningError if it moves, or the position stays invalid.
     """
     if not force:
         _refuse_motion(module, progress, 0, 2)

@@ -1,4 +1,4 @@
-"""A change of a module, its table or a file: as a whole or not at all."""
+"""Changes of a module or its table: as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from canfb.master.access import (
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
-STORES = (od.STORE_MANUFACTURER_PARAMETERS, od.STORE_ALL_PARAMETERS)  # the narrower one first
-OLD_CONDITIONING = 5  # sub-indices of 2002h, before it had delays
+STORES = (od.STORE_MANUFACTURER_PARAMETERS, od.STORE_ALL_PARAMETERS)  # in order of preference
+OLD_CONDITIONING = 5  # sub-indices of 2002h in versions without delays
 SAVE = b"save"
 SAVES_ON_COMMAND = 1
 SAVE_WITHIN_S = 10.0
 
 
 def read_active(module: NodeAccess) -> Correction:
-    """CommissioningError if it is no feedback module."""
+    """Table and conditioning in force. CommissioningError if the node is not a feedback module."""
     try:
         crc32 = module.integer(*od.TABLE_ACTIVE_CRC, "I")
     except ObjectAbsentError:
@@ -48,7 +48,7 @@ def read_active(module: NodeAccess) -> Correction:
 
 
 def active_conditioning(module: NodeAccess) -> Conditioning:
-    """2020:07; 2002h of an older module."""
+    """The conditioning in force: 2020:07, or 2002h of an older module."""
     try:
         data = module.read_bytes(*od.TABLE_ACTIVE_CONDITIONING)
     except ObjectAbsentError:
@@ -60,7 +60,7 @@ def active_conditioning(module: NodeAccess) -> Conditioning:
 
 
 def read_conditioning(module: NodeAccess) -> Conditioning:
-    """2002h and 2005h, not yet in force."""
+    """The conditioning of 2002h and 2005h, which need not be in force."""
     try:
         values = [float(module.read(*place, "f")) for place in od.CONDITIONING[:OLD_CONDITIONING]]
         with contextlib.suppress(ObjectAbsentError):
@@ -73,7 +73,7 @@ def read_conditioning(module: NodeAccess) -> Conditioning:
 
 
 def put_in_force(module: NodeAccess, correction: Correction) -> None:
-    """Write conditioning and table, activate both, check. A CommissioningError may leave it in between."""
+    """Write conditioning and table, activate both, check. CommissioningError may leave a partial change."""
     write_conditioning(module, correction.conditioning)
     if correction.table is not None and module.integer(*od.TABLE_ACTIVE_CRC, "I") != correction.crc32:
         stage(module, correction.table)
@@ -86,7 +86,7 @@ def stage(module: NodeAccess, table: CorrectionTable) -> None:
 
 
 def activate(module: NodeAccess, crc32: int) -> None:
-    """The table with this CRC, with 2002h; 0: none."""
+    """Activate the staged table with this CRC, and 2002h; 0: the identity."""
     module.write(*od.TABLE_ACTIVATE, "I", crc32)
     check_crc(module, od.TABLE_ACTIVE_CRC, "active", crc32)
 
@@ -98,7 +98,7 @@ def put_in_force_again(module: NodeAccess, before: Correction) -> None:
 
 
 def check_unlocked(module: NodeAccess) -> None:
-    """CommissioningError while the write lock (2040h) refuses writes."""
+    """CommissioningError if the write lock (2040h) is closed."""
     if module.read_known(od.WRITE_LOCK_LOCKED):
         raise CommissioningError(
             f"{module.name} is locked (2040h): canfb sdo write {module.node_id:#04x} 2040:02 CODE unlocks "
@@ -107,7 +107,7 @@ def check_unlocked(module: NodeAccess) -> None:
 
 
 def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str:
-    """Save: the object used; CommissioningError if it fails."""
+    """Save; returns the object used. CommissioningError if it fails."""
     store = check_can_save(module, stores)
     try:
         module.write_bytes(*store, SAVE, SAVE_WITHIN_S)
@@ -149,9 +149,9 @@ def check_crc(module: NodeAccess, place: od.Multiplexer, which: str, expected: i
 
 
 class Guard:
-    """Keeps an interruption away from what must not be left half done.
+    """Protects critical sections from interruption.
 
-    :meth:`interrupt`, for a signal handler, raises KeyboardInterrupt once, and not while held.
+    :meth:`interrupt`, for a signal handler, raises KeyboardInterrupt once, but not while :meth:`held`.
     """
 
     def __init__(self) -> None:
@@ -164,7 +164,7 @@ class Guard:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """No interruption in here."""
+        """Context without interruption."""
         self._held = True
         try:
             yield
@@ -172,7 +172,7 @@ class Guard:
             self._held = False
 
 
-PAUSES_S = 0.0, 1.0  # before each attempt: a bus that is away briefly, a node that starts
+PAUSES_S = 0.0, 1.0  # before each attempt, so that a bus may recover or a node boot
 EITHER = "either what was saved before or the new values, whole"
 
 
@@ -188,10 +188,10 @@ def change(
     stores: Sequence[od.Multiplexer] = STORES,
     step: Callable[[str], None] = lambda text: None,
 ) -> str | None:
-    """``act``, then save if ``keep``: the object that saved it, or None.
+    """Call ``act``, then save if ``keep``; returns the object that saved, or None.
 
-    A failure, an interruption or a restart of the module writes ``what`` was ``back``, uninterrupted, and
-    saves it again where saving had begun; the CommissioningError says so (``undone``), or that it failed.
+    After a failure, an interruption or a restart of the module ``back`` restores ``what``, uninterrupted, and
+    it is saved again if saving had begun. The CommissioningError says ``undone()``, or that this failed.
     """
     with guard.held():
         check_unlocked(module)  # a lock would refuse the undo as well
@@ -213,7 +213,7 @@ def change(
             act()
             if not keep:
                 return None
-            check()  # what a restart has left of the change is not saved
+            check()  # after a restart the change is incomplete and must not be saved
             step("saving")
             saving = True
             return save(module, stores)
@@ -229,7 +229,7 @@ def change(
 
 
 def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: bool = False) -> None:
-    """``act`` writes ``what`` from before, once more after a pause; CommissioningError says what to do."""
+    """Restore ``what`` by ``act``, with a second attempt after a pause; CommissioningError with advice."""
     for pause_s in PAUSES_S:
         try:
             module.master.wait(pause_s)

@@ -18,14 +18,14 @@ from canfb.master.samples import Listener
 from canfb.rows import Row
 
 FIRST_S = 1.0
-STANDSTILL_S = 3.0  # somebody may be about to let the machine turn
+STANDSTILL_S = 3.0  # standstill is reported only after this, as the machine may be about to start
 HALF_CYCLE = 0.5
 
 
 class LockWatch:
-    """Looks, a second after the first SYNC, whether the motion is locked to the samples: ``found``.
+    """Checks FIRST_S after the first SYNC whether the motion is locked to the samples: ``found``.
 
-    ``speed_rad_s`` is 0.0 where it is not known.
+    ``speed_rad_s`` returns 0.0 if it is not known.
     """
 
     def __init__(self, cycles_per_revolution: int, speed_rad_s: Callable[[], float]) -> None:
@@ -47,7 +47,7 @@ class LockWatch:
         speed = 0.0
         if samples.rate_hz:
             speed = self._speed_rad_s() * self._cycles_per_revolution / (2.0 * math.pi) / samples.rate_hz
-            if speed < 0.0:  # backwards is forwards with the tracks exchanged
+            if speed < 0.0:  # count the direction of motion as positive
                 speed, lock = -speed, -lock % 1
         if lock.denominator == 1 and speed < HALF_CYCLE and self._next_s < STANDSTILL_S:
             self._next_s = STANDSTILL_S
@@ -56,13 +56,13 @@ class LockWatch:
         return True
 
     def raise_found(self) -> None:
-        """CalibrationError, with a speed that would do."""
+        """CalibrationError, with a suitable speed, if the motion is locked."""
         if self.found is not None:
             raise self.found
 
     def _error(self, lock: Fraction, speed: float, rate_hz: float | None) -> CalibrationError:
         step, near = away_from(float(lock)), round(speed - lock) + float(lock)
-        rpm = 60.0 * rate_hz / self._cycles_per_revolution if rate_hz else 0.0  # of one cycle per sample
+        rpm = 60.0 * rate_hz / self._cycles_per_revolution if rate_hz else 0.0  # rpm at one cycle per sample
         faster = f"{step * rpm:.3g} rpm faster" if rpm else f"by {step} of a cycle per sample faster"
         if lock.denominator == 1 and speed < HALF_CYCLE:
             return CalibrationError(
@@ -80,7 +80,7 @@ class LockWatch:
 
 
 MISSED, LOST = "missed samples", "position lost"
-# Counters of 2012h of what is flagged.
+# Counters of 2012h, by the fault that they count.
 COUNTERS = {
     MISSED: od.COUNTER_MISSED,
     "residual": od.COUNTER_RESIDUAL,
@@ -93,13 +93,13 @@ COUNTERS = {
 }
 U32 = 1 << 32
 READINGS_EVERY_S = 0.3
-SHORTEST_S = 1e-6  # a rest of rounding is nothing to wait for
+SHORTEST_S = 1e-6  # shorter remaining times are rounding
 MORE_THAN_BEFORE = 3.0
 
 
 @dataclass(frozen=True)
 class Look:
-    """2011:01, 2011:04 and counters at one time."""
+    """Status word (2011:01), cycle count (2011:04) and counters at one time."""
 
     status: int
     cycles: int
@@ -112,7 +112,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Meanwhile:
-    """The module before and after."""
+    """The module before and after a measurement."""
 
     before: Look
     after: Look
@@ -131,7 +131,7 @@ class Meanwhile:
 
     @property
     def cycles(self) -> int | None:
-        """Distance, or None."""
+        """Distance, or None if unknown."""
         valid = self.before.status & self.after.status & od.StatusBit.VALID
         if not valid or LOST in self.counted:
             return None
@@ -159,14 +159,14 @@ def lost_words(module: NodeAccess, status: int) -> str:
 
 @dataclass(frozen=True)
 class SpeedReading:
-    """``at``: intervals after the first sample."""
+    """A speed of the module; ``at``: intervals after the first sample."""
 
     at: float
     rad_per_s: float
 
 
 class SpeedReadings:
-    """CommissioningError without a valid position."""
+    """Reads the speed of the module periodically. CommissioningError without a valid position."""
 
     def __init__(self, module: NodeAccess) -> None:
         self._module = module
@@ -222,7 +222,9 @@ def watch(
     usual_s: float,
     progress: Progress = lambda part: None,
 ) -> None:
-    """CommissioningError if the module flags more than ``usual`` (in ``usual_s``), or processes nothing."""
+    """Observe the module with new limits. CommissioningError if it flags more than ``usual`` (counts in
+    ``usual_s``), or processes no samples.
+    """
     master = module.master
     began, first = master.now(), read_counters(module)
     samples = module.integer(*od.FEEDBACK_SAMPLES, "I")
@@ -247,7 +249,7 @@ def watch(
 
 
 def in_words(counts: Mapping[str, int]) -> str:
-    """3 residual, 1 amplitude."""
+    """E.g. "3 residual, 1 amplitude"."""
     return ", ".join(f"{count} {name}" for name, count in counts.items())
 
 
@@ -257,7 +259,7 @@ PERCENT = 100.0
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where and when it was measured; "" or None: not known.
+    """Where and when a measurement was taken; "" or None: not known.
 
     date, time      ISO 8601; time of day with the offset to UTC
     identity        1018h: vendor-ID, product code, revision, serial number
@@ -279,12 +281,12 @@ class Provenance:
 
     @classmethod
     def of_run(cls, date: str, command: str, **known: Any) -> Provenance:
-        """Of today; ``date`` is ISO 8601, the time behind a space."""
+        """For a run of ``command``; ``date`` is ISO 8601, with a space before the time."""
         day, _, time = date.partition(" ")
         return cls(day, time=time, version=version("canfb"), command=command, **known)
 
     def arc_seconds(self, cycles: float) -> float | None:
-        """A part of the cycle at the shaft."""
+        """``cycles`` as an angle of the shaft."""
         return cycles * ARC_SECONDS / self.cycles_per_revolution if self.cycles_per_revolution else None
 
 

@@ -1,5 +1,5 @@
-"""Samples of both tracks: in memory, in files, and over the bus: of the ADC PDO, or of a
-recording object (2050h)."""
+"""Samples of both tracks: in memory, in files, and from the bus, by the ADC PDO or a recording object
+(2050h)."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from canfb.signal.sample import TICK_S, TICKS
 from canfb.sources.sample_files import read_tracks, with_gaps
 from canfb.view.module_view import PdoLayout
 
-# The rate between pauses is known to about half a percent where receive times jitter.
+# With jittering receive times the rate between pauses is known within about 0.5 %.
 LEAST_SKIPPED, SURE_PART = 2, 0.005
 
 
 @dataclass(frozen=True, eq=False)
 class TrackSamples:
-    """Both tracks in ADC counts, one sample an interval, NaN where one was missed.
+    """Both tracks in ADC counts, one sample per interval, NaN: missed.
 
-    rate_hz      without pauses; None: not known
+    rate_hz      rate between pauses; None: not known
     time_s       sample times, rising; None: equidistant
-    received_s   of the SYNC of each sample; None: not known
-    coarse       sine and cosine, ADC counts, NaN where they did not come
-    at_speed     the analog path counts
+    received_s   receive time of the SYNC of each sample; None: not known
+    coarse       coarse sine and cosine, ADC counts, NaN: missed
+    at_speed     the analog path changes the harmonics at this speed
     """
 
     sine: FloatArray
@@ -59,18 +59,18 @@ class TrackSamples:
 
     @classmethod
     def of(cls, sine: ArrayLike, cosine: ArrayLike, rate_hz: float | None, origin: str) -> TrackSamples:
-        """Pairs of -32768 are missed. ValueError for different lengths."""
+        """Samples, in which pairs of -32768 count as missed. ValueError for different lengths."""
         return cls(*with_gaps(sine, cosine), rate_hz, origin)
 
     def timed(self, stamps: Sequence[int | None]) -> TrackSamples:
-        """Sample times in 100 ns, modulo 2^32, or None."""
+        """The same with sample times: ``stamps`` in 100 ns, modulo 2^32; None: interpolated."""
         known = [n for n, stamp in enumerate(stamps) if stamp is not None]
         if len(known) < 2:
             return self
         ticks = np.array([stamps[n] for n in known], np.int64)
         passed = np.concatenate([[0], np.cumsum(np.diff(ticks) % TICKS)])
         step = float(np.median(np.diff(passed) / np.diff(known)))
-        # Beyond the first and the last one that came, and between two, at a steady pace.
+        # Interpolate missing times linearly; extrapolate with the median step.
         ends = [-1, *known, len(stamps)]
         times = [-step * (known[0] + 1), *passed, passed[-1] + step * (len(stamps) - known[-1])]
         return replace(self, time_s=np.interp(np.arange(len(stamps)), ends, times) * TICK_S)
@@ -79,9 +79,9 @@ class TrackSamples:
         return recording(self.sine, self.cosine, self.time_s, None, adc_bits)
 
     def together(self, cosine_delay_s: float, cycles_per_s: float) -> TrackSamples:
-        """As if the cosine had not been sampled ``cosine_delay_s`` later (2002:06), at this mean speed.
+        """The same with the delay of the cosine, ``cosine_delay_s`` (2002:06), removed at this mean speed.
 
-        CommissioningError without a rate, CalibrationError where the samples are on no ellipse.
+        CommissioningError without a rate, CalibrationError if the samples are on no ellipse.
         """
         if not cosine_delay_s:
             return self
@@ -133,7 +133,7 @@ class TrackSamples:
 
 
 def write_npz(path: Path, samples: TrackSamples, hertz: float | None = None) -> None:
-    """INTEGER16 tracks, -32768 for a missed sample, rate_hz (0: not known), time_s, cycles_per_s
+    """Write INTEGER16 tracks, -32768 for a missed sample, rate_hz (0: not known), time_s, cycles_per_s
     (``hertz``).
     """
     sine, cosine = (
@@ -154,7 +154,7 @@ def write_npz(path: Path, samples: TrackSamples, hertz: float | None = None) -> 
 
 
 def write_csv(path: Path, samples: TrackSamples) -> None:
-    """Columns t_s (if the rate is known), sine, cosine; a missed sample has no row."""
+    """Write columns t_s (if the rate is known), sine, cosine; a missed sample has no row."""
     names = ["t_s", "sine", "cosine"] if samples.rate_hz else ["sine", "cosine"]
     with path.open("w", newline="", encoding="ascii") as file:
         rows = csv.writer(file, lineterminator="\n")
@@ -170,9 +170,9 @@ def read_npz(path: Path) -> TrackSamples:
     return TrackSamples(tracks.sine, tracks.cosine, tracks.rate_hz, f"file {path.name}", tracks.time_s)
 
 
-PATIENCE_S = 2.0  # for the first SYNC, the first sample, and for either to go on
+PATIENCE_S = 2.0  # longest wait for a SYNC or a sample, also for the first one
 LOOK_S = 0.1
-LONGEST = 6.0  # times the duration that was asked for, where SYNCs are rare
+LONGEST = 6.0  # if SYNCs are rare, the measurement takes at most this times the requested duration
 PART_MISSED = 0.5
 MISSED = (od.MISSED_COUNTS, od.MISSED_COUNTS)
 
@@ -181,15 +181,15 @@ NEWEST, COARSE, TIME = 0, -1, -2  # parts of a sample; 1, 2, .. are the earlier 
 
 
 class PdoRecorder:
-    """Gives each SYNC the first of each part of a sample that comes before the next one.
+    """Assigns to each SYNC the first of each part of a sample received before the next SYNC.
 
-    Called from the receiving thread; read when that has ended.
+    Called in the receiving thread; read by another one.
     """
 
     def __init__(self, layout: PdoLayout) -> None:
         self.layout = layout
-        self._times_s: list[float] = []  # of the SYNCs
-        self._intervals: list[dict[int, Any]] = []  # the parts that came, from one SYNC to the next
+        self._times_s: list[float] = []  # receive times of the SYNCs
+        self._intervals: list[dict[int, Any]] = []  # the parts received after each SYNC
         self._parts: defaultdict[int, list[tuple[int, Callable[[bytes], Any]]]] = defaultdict(list)
         for part, place in [*enumerate((layout, *layout.earlier)), (COARSE, layout.coarse)]:
             if place is not None:
@@ -203,7 +203,7 @@ class PdoRecorder:
         return len(self._times_s)
 
     def callbacks(self) -> list[tuple[int, OnFrame]]:
-        """For each CAN-ID; the SYNC is the last."""
+        """A callback for each CAN-ID; that of the SYNC is the last."""
         return [*((can_id, self.on_pdo) for can_id in self._parts), (self.layout.sync_id, self.on_sync)]
 
     def on_sync(self, can_id: int, data: bytes, time_s: float) -> None:
@@ -219,7 +219,7 @@ class PdoRecorder:
         now |= came
 
     def result(self, origin: str) -> TrackSamples:
-        """What came, in order, without the open interval."""
+        """The samples in order, without those of the last interval, which is incomplete."""
         intervals, per_sync = self._intervals[:-1], 1 + len(self.layout.earlier)
         rate_hz = self._rate_hz()
         in_order = [one.get(part) or MISSED for one in intervals for part in reversed(range(per_sync))]
@@ -239,7 +239,7 @@ class PdoRecorder:
 
     def _rate_hz(self) -> float | None:
         steps = np.diff(self._times_s)
-        # The median does not mind a pause; the mean of what is near it does not mind late time stamps.
+        # The median ignores pauses; the mean of the steps near it averages late time stamps.
         if not len(steps) or (middle := float(np.median(steps))) <= 0.0:
             return None
         near = steps[np.abs(steps - middle) < 0.5 * middle]
@@ -247,18 +247,18 @@ class PdoRecorder:
 
 
 class Listener:
-    """Call :meth:`look` now and then."""
+    """Listens to SYNCs and samples. Call :meth:`look` regularly; it detects when they are missing."""
 
     def __init__(self, master: Master, layout: PdoLayout) -> None:
         self._master = master
         self.recorder = PdoRecorder(layout)
         self._syncs = Unchanged(master, 0)
         self._began_s: float | None = None
-        self._samples: Unchanged | None = None  # from the first SYNC on
+        self._samples: Unchanged | None = None  # None before the first SYNC
 
     @property
     def intervals(self) -> int:
-        """From SYNC to SYNC: those of :meth:`result`."""
+        """Number of complete intervals, as in :meth:`result`."""
         return max(self.recorder.syncs - 1, 0)
 
     @property
@@ -311,10 +311,10 @@ def listen(
     progress: Progress = lambda part: None,
     enough: Callable[[Listener], bool] = lambda listener: False,
 ) -> TrackSamples:
-    """Samples of ``duration_s`` from the first SYNC on, ``least_samples`` intervals at least.
+    """Samples of ``duration_s`` from the first SYNC on, and of at least ``least_samples`` intervals.
 
-    ``progress`` gets 0..1. Ends after LONGEST times that, or when ``enough``. CommissioningError without
-    SYNC or samples.
+    ``progress`` gets 0..1. Ends at LONGEST x ``duration_s`` at the latest, or when ``enough`` is true.
+    CommissioningError without SYNC or samples.
     """
     with listening(master, layout) as listener:
         while True:
@@ -329,9 +329,9 @@ def listen(
 
 
 RECORDING_LOOK_S = 0.2
-STANDING_S = 1.0  # no more samples for this long: the memory of the node is full
-EMPTY_S = 2.0  # none at all for this long: nothing samples
-UPLOAD_PART = 0.5  # of the progress reported
+STANDING_S = 1.0  # no further samples for this long: the memory of the node is full
+EMPTY_S = 2.0  # no sample at all for this long: the node does not sample
+UPLOAD_PART = 0.5  # part of the upload in the reported progress
 
 
 def record(
@@ -339,7 +339,7 @@ def record(
 ) -> TrackSamples:
     """Let ``node`` record as :func:`listen` does, and upload it; ``progress`` gets 0..1.
 
-    ``rate_hz`` counts where 2050:04 is 0. CommissioningError if it cannot, or recorded nothing.
+    ``rate_hz`` is used if 2050:04 is 0. CommissioningError if it cannot record, or recorded nothing.
     """
     try:
         node.write(*od.RECORDING_COMMAND, "B", od.RecordingCommand.START)
@@ -370,5 +370,5 @@ def _wait(node: NodeAccess, duration_s: float, least_samples: int, progress: Pro
         master.wait(min(RECORDING_LOOK_S, end_s - passed))
         count = node.integer(*od.RECORDING_RECORDED, "I")
         if recorded.seconds(count) > (STANDING_S if count else EMPTY_S):
-            return  # the memory is full, or nothing samples
+            return  # the memory is full, or the node does not sample
         end_s = duration_s * (1.0 if count >= least_samples else LONGEST)

@@ -1,4 +1,4 @@
-"""A module and its encoder interface: what is active, what limits it, where samples come from."""
+"""A module and its encoder interface: active table, limits, source of samples."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ AMPLITUDES = (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
 
 
 class LimitObject(NamedTuple):
-    """An object that holds a limit; its layout as in struct."""
+    """The object of a limit; ``layout`` as in struct."""
 
     place: od.Multiplexer
     layout: str
@@ -51,7 +51,7 @@ LIMITS = (
     LimitObject(od.SUPERVISION_COARSE_LIMIT, "H", "coarse track limit", "1/65536 revolution"),
     LimitObject(od.SUPERVISION_PERIODS, "B", "periods without SYNC or sample", "periods"),
 )
-# Not a limit, but the limits of the amplitude hold for it; an older module does not have it.
+# Not a limit itself, but the limits of the amplitude depend on it; older modules lack it.
 CORNER = LimitObject(od.ENCODER_CORNER_FREQUENCY, "f", "corner frequency", "Hz")
 JITTER = LimitObject(od.SUPERVISION_SYNC_JITTER, "f", "jitter of the SYNC", "s")
 KINDS = {one.place: one for one in (*LIMITS, CORNER, JITTER)}
@@ -59,9 +59,9 @@ KINDS = {one.place: one for one in (*LIMITS, CORNER, JITTER)}
 
 @dataclass(frozen=True)
 class SupervisionLimits:
-    """What :attr:`settings` come from, and what the chain needs beside.
+    """The objects from which :attr:`settings` follow, and the noise, which the chain needs as well.
 
-    values                  :data:`LIMITS` in their units, those that other settings depend on, the RPDOs
+    values                  :data:`LIMITS` in their units, and other objects of the settings, with the RPDOs
     noise_cycles            2011:0B; None: not known
     """
 
@@ -91,25 +91,25 @@ class SupervisionLimits:
         return replace(self, values={**self.values, **values})
 
     def chain_limits(self, interval_s: float) -> ChainLimits:
-        """For a chain that gets all samples one by one, ``interval_s`` apart."""
+        """Limits of a chain that gets all samples individually, ``interval_s`` apart."""
         bridged = min(self.settings.coast_samples * self.settings.samples_per_sync, MOST_IN_A_ROW)
         one_by_one = replace(self.settings, coast_samples=bridged, samples_per_sync=1)
         return one_by_one.chain_limits(interval_s, self.noise_cycles)
 
 
-# Those that let more samples pass the larger (1), or the smaller (-1) they are.
+# Limits that accept more samples when they are larger (1) or smaller (-1).
 WIDENING = {
     od.ENCODER_LOWEST_AMPLITUDE: -1,
     od.ENCODER_HIGHEST_AMPLITUDE: 1,
-    od.SUPERVISION_PHASE_ERROR: 1,  # it widens what the others narrow
+    od.SUPERVISION_PHASE_ERROR: 1,  # widens the residual limit, which the others narrow
 }
 
 
 def write_limits(module: NodeAccess, limits: Mapping[od.Multiplexer, float]) -> None:
     """Write and read back; CommissioningError for a difference.
 
-    First what lets more samples pass than before, then the corner, which changes the amplitude, then the
-    rest: so the limits fit the amplitude at all times, and the lower one of it is below the upper one.
+    Limits that become wider are written first, then the corner, which changes the amplitude, then all others:
+    so the amplitude stays within its limits, and the lower limit below the upper one.
     """
 
     def turn(place: od.Multiplexer) -> int:
@@ -126,7 +126,7 @@ def write_limits(module: NodeAccess, limits: Mapping[od.Multiplexer, float]) -> 
 
 
 def check_limits(module: NodeAccess, limits: Mapping[od.Multiplexer, float]) -> None:
-    """CommissioningError for a difference."""
+    """CommissioningError if the module has other limits."""
     for place in limits:
         there = module.read(*place, KINDS[place].layout)
         if there != limits[place]:
@@ -147,7 +147,7 @@ class Session:
     """Both nodes, read once.
 
     limits               2001:02..04
-    samples_itself       no ADC PDO, and no interface was named
+    samples_itself       the module samples itself: it has no ADC PDO, and no interface was named
     identity             1018h of the module
     interface_identity   None if the interface does not answer
     """
@@ -165,7 +165,7 @@ class Session:
 
     @classmethod
     def open(cls, master: Master, module_id: int, interface_id: int | None) -> Session:
-        """CommissioningError if the node is not a feedback module."""
+        """Read both nodes. CommissioningError if ``module_id`` is not a feedback module."""
         module = NodeAccess(master, module_id, "module")
         active = read_active(module)
         cycles = module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I")
@@ -192,7 +192,7 @@ class Session:
         rate_hz: float | None,
         enough: Callable[[Listener], bool] = lambda listener: False,
     ) -> Source:
-        """Of "pdo", until ``enough``, or of a "recording" of "interface" or "module"."""
+        """Samples by "pdo", until ``enough``, or by a "recording" of "interface" or "module"."""
         if kind == "recording":
             self.check_interface()
             node = self.module if recorder == "module" else self.interface
@@ -209,7 +209,7 @@ class Session:
 
     @property
     def path_is_known(self) -> bool:
-        """The speed matters, and the active table is that of standstill."""
+        """Whether the errors depend on the speed, and the active table is that of standstill."""
         conditioning = self.active.conditioning
         return any(conditioning.harmonics) and bool(
             conditioning.cosine_delay_s or read_corners(self.module).are_there
@@ -226,7 +226,7 @@ class Session:
         return replace(samples.together(delay_s, hertz), at_speed=counts_at(hertz, delay_s, corners))
 
     def provenance(self, where: Provenance) -> Provenance:
-        """``where``, with what is known of both nodes."""
+        """``where``, completed by data of both nodes."""
         return replace(
             where,
             module=self.module.node_id,
@@ -250,7 +250,7 @@ def read_corners(module: NodeAccess) -> Corners:
 
 def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
     numbers = (node.integer_if_there(place, "I") for place in od.IDENTITY)
-    return tuple(iter(lambda: next(numbers, None), None)) or None  # up to the first that is not there
+    return tuple(iter(lambda: next(numbers, None), None)) or None  # ends at the first missing one
 
 
 def _interface_of(module: NodeAccess) -> int | None:
@@ -259,9 +259,9 @@ def _interface_of(module: NodeAccess) -> int | None:
 
 
 def agreed_layout(module: NodeAccess, interface: NodeAccess) -> PdoLayout:
-    """The PDO that the interface sends and the module takes; CommissioningError if they differ.
+    """The PDO that the interface sends and the module receives; CommissioningError if they differ.
 
-    An interface that does not answer is taken to send what the module expects.
+    An interface that does not answer is assumed to send what the module expects.
     """
     taken = module_layout(module.read_known)
     if taken is None:
