@@ -1,1 +1,1 @@
-"""``canfb calibrate``: reference measurement, upload of its table, proof, report."""
+"""``canfb calibrate``: reference measurement, upload of the table, verification, report."""

@@ -1,4 +1,4 @@
-"""What a reference measurement leaves in a folder: table, samples, report."""
+"""Files of a reference measurement in a folder: table, samples, report."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from canfb.signal.supervision import SampleLimits
 
 TABLE_YAML, TABLE_BIN, SAMPLES, REPORT = "table.yaml", "table.bin", "samples.npz", "report.html"
 SPEEDS = "speeds"
-# What is in the YAML beyond crc32, conditioning and entries.
+# Keys of the YAML besides crc32, conditioning and entries.
 META = (
     "date",
     "time",
@@ -80,7 +80,7 @@ def keep_speeds(folder: Path, measured: Iterable[SpeedSamples]) -> None:
     place = folder / SPEEDS
     with writing(place):
         place.mkdir(exist_ok=True)
-        for old in place.glob("*.npz"):  # of an earlier run
+        for old in place.glob("*.npz"):  # left by an earlier run
             old.unlink()
         for number, one in enumerate(measured, 1):
             write_npz(place / f"{number:02d}.npz", one.samples, one.hertz)
@@ -93,9 +93,9 @@ def write_refusal(
     where: Provenance,
     limits: SampleLimits | None = None,
 ) -> None:
-    """Samples and report of a measurement that was refused: they show why. There is no table."""
+    """Samples and report of a refused measurement, without a table: they show the reason."""
     with writing(folder):
-        for name in (TABLE_YAML, TABLE_BIN):  # of an earlier run: they must not pass for those of this one
+        for name in (TABLE_YAML, TABLE_BIN):  # files of an earlier run must not pass for results of this one
             (folder / name).unlink(missing_ok=True)
         write_npz(folder / SAMPLES, samples)
         (folder / REPORT).write_text(refusal_html(samples, refused, where, limits), encoding="utf-8")
@@ -165,7 +165,7 @@ def _over_speed(measured: Measurement, where: Provenance) -> str:
             (one.hertz, one.before, one.after, one.mean_before, one.mean_after)
             for one in measured.over_speeds.errors
         ],
-        np.float64,  # None: not a number
+        np.float64,  # converts None to NaN
     ).T
     per_turn = where.cycles_per_revolution
     speed, unit = (hertz * 60.0 / per_turn, "rpm") if per_turn else (hertz, "cycles/s")

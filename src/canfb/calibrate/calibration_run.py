@@ -62,20 +62,20 @@ Installed = tuple[Measurement, Installation]
 
 
 class Steps(Protocol):
-    """Receives the progress, never fails."""
+    """Receives the progress; never raises."""
 
     def step(self, text: str) -> None:
         """A new step begins."""
 
     def part(self, part: float) -> None:
-        """So much of the step is done, 0..1."""
+        """Progress of the step, 0..1."""
 
 
 class CalibrationRun:
-    """One run of the command, which does what ``choices`` say.
+    """One run of the command with the options ``choices``.
 
-    ``date`` is ISO 8601, the time of day behind a space. ``refused`` gets the error of a refused
-    measurement before it is raised; its samples and a report are in ``choices.out`` then.
+    ``date`` is ISO 8601, with a space before the time. ``refused`` gets the error of a refused
+    measurement before it is raised, after samples and report are written to ``choices.out``.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class CalibrationRun:
         self._refused = refused
 
     def from_file(self, path: Path) -> Result:
-        """Samples of a file, or of a folder with those of each speed: nothing but files can come of it."""
+        """Calibrate from a file of samples, or a folder with one for each speed: writes only files."""
         choices, settings = self._choices, self._choices.settings(None)
         before = read_table(choices.table).used if choices.table else NO_CORRECTION
         if choices.speeds is not None:
@@ -272,7 +272,7 @@ class CalibrationRun:
         )
 
     def _report(self, measured: Measurement, put: Callable[[Measurement], Installed] | None = None) -> Result:
-        """The drift, or the table: ``put`` in force first, unless it is a dry run."""
+        """Result of a check, or of a table, which ``put`` activates first unless in a dry run."""
         out = self._choices.out
         if self._choices.check:
             if out:
@@ -297,8 +297,8 @@ class CalibrationRun:
             raise CanfbError(f"{samples.origin}: {error}") from error
 
 
-NEAR_PART = 0.1  # of a speed: it is this one
-STEADY_PART = 0.01  # of it, from the lowest to the highest of the last readings
+NEAR_PART = 0.1  # largest relative distance from a requested speed
+STEADY_PART = 0.01  # largest relative range of the last readings of a steady speed
 STEADY_RPM = 0.5
 READINGS, EVERY_S = 5, 0.3
 
@@ -310,10 +310,10 @@ def wait_for_speed(
     longest_s: float,
     progress: Progress,
 ) -> float:
-    """The one of ``speeds_rpm``, rpm, at which the machine turns steadily now.
+    """Wait until the machine turns steadily at one of ``speeds_rpm``, and return that, rpm.
 
-    Where none of them is negative, it may turn either way. ``progress`` gets the part of the time that has
-    passed. CommissioningError, with the speed that it has, after ``longest_s`` seconds.
+    If none is negative, it may turn either way. ``progress`` gets the elapsed part of the time.
+    CommissioningError, with the present speed, after ``longest_s`` seconds.
     """
     began, last = master.now(), list[float]()
     while True:
@@ -347,11 +347,11 @@ def listed(speeds_rpm: Sequence[float]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 
 
-SPARE_AMPLITUDE = 0.05  # within the limits of the amplitude
+SPARE_AMPLITUDE = 0.05  # required distance from the limits, relative to the amplitude
 
 
 def check_amplitude(measured: Measurement, limits: SampleLimits) -> None:
-    """CommissioningError if the amplitude without the low-pass, which counts then, is out of limits."""
+    """CommissioningError if the amplitude, corrected for a new low-pass, would exceed its limits."""
     if measured.over_speeds is None or not measured.over_speeds.after.corners.are_there:
         return
     s, c = measured.calibration.conditioning.apply(*measured.calibration.tracks)

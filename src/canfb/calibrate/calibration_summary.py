@@ -1,6 +1,6 @@
 """The figures of a reference measurement: for the terminal, the report and programs.
 
-At several speeds with the analog path and the error at each speed.
+For several speeds also the analog path, and the error at each speed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from canfb.rows import Findings, Result, Row, Section, as_figures, as_lines
 from canfb.sdo.tables import conditioning_in_words, conditioning_words, table_words
 from canfb.signal.correction import Correction
 
-SAME_DELAY = 1e-3  # relative: REAL32
+SAME_DELAY = 1e-3  # delays are equal within this, relative, which includes rounding to REAL32
 
 
 def speed_words(hertz: float, where: Provenance) -> str:
@@ -254,7 +254,7 @@ def facts(measured: Measurement, done: Installation, where: Provenance) -> list[
 
 
 def rate_words(samples: TrackSamples) -> str:
-    """The rate of the samples, in the mean where they paused; "" if it is not known."""
+    """The rate of the samples, averaged over pauses; "" if it is not known."""
     usual, mean = samples.rate_hz, samples.mean_rate_hz
     if not usual or not mean:
         return ""
@@ -280,7 +280,7 @@ def moved_words(calibration: Calibration, where: Provenance) -> str:
 
 
 def coverage_warning(measured: Measurement) -> str:
-    """Of samples that crowd at some phase: nothing, or words that begin with a semicolon."""
+    """Words on samples that accumulate at a phase, after a semicolon; or ""."""
     spike = measured.on_samples.spike
     if spike is None:
         return ""
@@ -371,7 +371,7 @@ def module_drift_result(
 
 
 def drift_result(measured: Measurement, where: Provenance) -> Result:
-    """What the active table, the one of before, gets wrong now."""
+    """Result of a check: the present error of the active table."""
     fresh, active = measured.calibration, measured.before
     found, change = (
         drift(fresh, active.table, active.conditioning),

@@ -1,4 +1,4 @@
-"""What ``canfb calibrate`` is asked to do: its options, checked, and what follows from them."""
+"""The options of ``canfb calibrate``, checked, and what follows from them."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from canfb.sources.sample_files import read_tracks
 
 PDO, RECORDING, MODULE, INTERFACE = "pdo", "recording", "module", "interface"
 MOST_RPM = 1e6
-RECORDED = "recorded"  # speeds: those that the files of samples have
+RECORDED = "recorded"  # value of --speeds: take the speeds from the files of samples
 LEAST_SAMPLES, LEAST_FRESH = 8000, 1500
 SECONDS_AT_SPEED = 10.0
-OF_THE_MODULE = MOTION, "fit", 1024  # how it measures by itself
-NEAREST = 1.05  # times: between speeds, so that the machine turns at one of them
+OF_THE_MODULE = MOTION, "fit", 1024  # method, conditioning and entries of a measurement by the module
+NEAREST = 1.05  # smallest ratio of two speeds, so that the present one can be identified
 OF_CSV = ("columns", "mid_scale", "scale", "time_column")
 WITHOUT_BUS = "not with --samples, which needs no bus and writes to no module"
-# Options that do nothing beside another one (False), or without it (True), are refused, not ignored. Times
-# are not: a script may give the same ones to a dry run and to the measurement after it.
+# Options that have no effect with another option (False), or without it (True), are refused. Durations are
+# accepted: a script may pass the same ones to a dry run and to the measurement after it.
 IDLE = (
     (
         (
@@ -63,7 +63,7 @@ IDLE = (
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrateOptions:
-    """The options by their names; None: not given. ConfigError for what cannot be."""
+    """The options by name; None: not given. ConfigError for invalid ones."""
 
     dry_run: bool = False
     check: bool = False
@@ -90,7 +90,7 @@ class CalibrateOptions:
     speeds: str | None = None
     delay: str | None = None
     wait: float = 120.0
-    line: str = ""  # the command, for the report
+    line: str = ""  # the command line, for the report
 
     @property
     def samples_from(self) -> str:
@@ -116,7 +116,7 @@ class CalibrateOptions:
 
     @property
     def speeds_rpm(self) -> tuple[float, ...]:
-        """Those of ``--speeds``; none for :data:`RECORDED`. ConfigError for what is no list of speeds."""
+        """The speeds of ``--speeds``; none for :data:`RECORDED`. ConfigError if it is not a list."""
         if self.speeds is None or (self.speeds == RECORDED and self.samples is not None):
             return ()
         try:
@@ -164,14 +164,14 @@ class CalibrateOptions:
             )
 
     def settings(self, limits: SampleLimits | None) -> Settings:
-        """How to calibrate; the converter's bits from the module, unless given."""
+        """Settings of the calibration; the ADC bits are those of the module, unless given."""
         bits = self.adc_bits
         if bits is None and limits is not None and limits.full_scale_counts.bit_count() == 1:
             bits = limits.full_scale_counts.bit_length()
         return Settings(self.method, "fit" if self.conditioning == "fit" else None, self.entries, bits)
 
     def samples_of_file(self, path: Path) -> TrackSamples:
-        """Samples of ``--samples``. CanfbError, with file and line, for a file that cannot be used."""
+        """Samples of ``--samples``. CanfbError, with file and line, for an unusable file."""
         if path.suffix.lower() == ".npz":
             found = read_npz(path)
             return replace(found, rate_hz=self.sample_rate or found.rate_hz)
@@ -179,9 +179,9 @@ class CalibrateOptions:
         return TrackSamples.of(*recording.tracks, self.sample_rate, f"file {path.name}{recording.note}")
 
     def samples_of_folder(self, folder: Path) -> list[SpeedSamples]:
-        """The files of a folder in the order of their names, with the speeds that are given or in them.
+        """The files of a folder in the order of names, with their speeds, given or recorded.
 
-        CanfbError for those that cannot be used.
+        CanfbError for unusable files.
         """
         files = sorted(one for one in folder.glob("*") if one.suffix.lower() in (".npz", ".csv"))
         if not folder.is_dir() or len(files) < 2:

@@ -1,9 +1,9 @@
-"""A reference measurement: samples in, a table out, and how much better it is than the one before.
+"""A reference measurement: from samples to a table, compared with the previous one.
 
-Samples through the chain of the module, without the module: what its supervision makes of them, and how far
-the position is off at each speed. What a smooth motion does not explain is the error within a cycle; its mean
-is the delay by the amplitude (:mod:`canfb.calibration.path_fit`), less what the module adds for 2002:07. At
-several speeds: what the module is to compute with, the analog path with it.
+The samples are processed by the chain of the module, without the module, which gives the flags of the
+supervision and the error of the position at each speed. Its rms is the deviation from smooth motion; its
+mean is the delay by the amplitude (:mod:`canfb.calibration.path_fit`), less the correction for 2002:07.
+Several speeds also give the analog path for the module.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ from canfb.signal.phase import BoolArray, FloatArray, IntArray, wrap
 from canfb.signal.sample import TICK_S, TICKS, Sample
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL, VALID
 
-# What a sample may be flagged with by its own counts, and its bit of the status word.
+# Faults that the chain can detect in samples alone, and their bits of the status word.
 FLAGS = {"residual": RESIDUAL, "amplitude": AMPLITUDE, "clipped": CLIPPED, "frozen": FROZEN, "lost": LOST}
 FEEDBACK = np.dtype([("status", np.int64), ("cycles", np.int64), ("phase", float), ("amplitude", float)])
 
 
 @dataclass(frozen=True, eq=False)
 class SupervisedSamples:
-    """The chain's account of each sample: arrays of one length.
+    """Results of the chain for each sample: arrays of one length.
 
-    position     cycles since the first sample, NaN where it was not valid
-    amplitude    counts, after conditioning; NaN where there was no sample
+    position     cycles since the first sample, NaN: not valid
+    amplitude    counts, after conditioning; NaN: no sample
     status       status word, 2011:01
-    elapsed      sampling intervals since the sample before, 1 without sample times
+    elapsed      sampling intervals since the previous sample, 1 without sample times
     """
 
     position: FloatArray
@@ -65,7 +65,7 @@ class SupervisedSamples:
 
     @property
     def flagged(self) -> dict[str, int]:
-        """Samples with each of :data:`FLAGS`, of those that have any."""
+        """Number of samples with each of :data:`FLAGS`, if not zero."""
         counts = {name: int(np.count_nonzero(self.status & bit)) for name, bit in FLAGS.items()}
         return {name: count for name, count in counts.items() if count}
 
@@ -78,10 +78,10 @@ class SupervisedSamples:
 def supervise(
     samples: TrackSamples, used: Correction, limits: ChainLimits, speed_cycles: float
 ) -> SupervisedSamples:
-    """Take the samples through the chain, as the module does that has these limits.
+    """Process the samples by the chain as a module with these limits does.
 
-    ``speed_cycles`` is the speed at the first sample, cycles per interval, right to half a cycle. The
-    samples have a rate.
+    ``speed_cycles`` is the speed at the first sample, cycles per interval, error below 0.5. The
+    samples must have a rate.
     """
     chain = SignalChain(ChainConfig())
     chain.set_limits(limits)
@@ -112,13 +112,13 @@ def supervise(
     )
 
 
-SETTLING_SAMPLES = 16  # until the chain knows the speed well
-HELD_OUT = 0.25  # of the samples at each speed: not for the fit
+SETTLING_SAMPLES = 16  # samples until the speed of the chain has settled
+HELD_OUT = 0.25  # part of the samples at each speed that is not fitted but used for verification
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedSamples:
-    """Samples at a speed: cycles per second, with sign, right to half a cycle per sample."""
+    """Samples at a speed: cycles per second, with sign, error below half a cycle per sample."""
 
     samples: TrackSamples
     hertz: float
@@ -142,13 +142,13 @@ class SpeedSamples:
 
 @dataclass(frozen=True)
 class InForce:
-    """What a module computes with: table, conditioning and the corners of the low-passes."""
+    """The values a module computes with: table, conditioning and the corners of the low-passes."""
 
     correction: Correction
     corners: Corners = NO_LOW_PASS
 
     def added_cycles(self, hertz: float) -> float:
-        """What it adds to the position at this speed for 2002:07."""
+        """The correction of the position for 2002:07 at this speed."""
         conditioning = self.correction.conditioning
         if not conditioning.delay_s:
             return 0.0
@@ -159,10 +159,10 @@ class InForce:
 
 @dataclass(frozen=True, eq=False)
 class ErrorAtSpeed:
-    """Errors of the position at one speed, cycles; ``before`` is None where the position was lost then.
+    """Errors of the position at one speed, cycles; ``before`` None: the position was lost.
 
     before, after             rms about the mean
-    mean_before, mean_after   the mean, by the delay that the amplitude tells
+    mean_before, mean_after   mean, by the delay that follows from the amplitude
     """
 
     hertz: float
@@ -181,7 +181,7 @@ def errors_at(
     block_samples: int,
     adc_bits: int | None,
 ) -> ErrorAtSpeed:
-    """Errors of these samples. CalibrationError, with the speed, where they cannot be judged."""
+    """Errors of these samples. CalibrationError, with the speed, if they are inconclusive."""
     with naming_speed(measured.hertz):
         record = measured.samples.recording(adc_bits)
         speed = mean_speed(record, measured.hertz / measured.rate_hz)
@@ -212,12 +212,12 @@ def _mean(off: FloatArray) -> float:
 
 MOTION, ZERO_CROSSINGS = "motion", "zero-crossings"
 METHODS = {MOTION: calibrate_from_motion, ZERO_CROSSINGS: calibrate_from_zero_crossings}
-BLOCK_CYCLES = 4  # of the method of zero crossings
+BLOCK_CYCLES = 4  # length of a block for the method of zero crossings
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How to calibrate.
+    """Settings of a calibration.
 
     method         "motion" or "zero-crossings"
     conditioning   "fit", or None to leave all to the table
@@ -233,13 +233,13 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """A reference measurement, compared with what was active before.
+    """A reference measurement, compared with the previous correction.
 
-    samples       what it was made of
-    calibration   what it gave
-    before        what was active
-    on_samples    deviation of those samples, with the new and with the old set
-    over_speeds   what several speeds say; then the others are those of the lowest one, as at standstill
+    samples       samples used
+    calibration   result
+    before        previous correction
+    on_samples    deviation of the samples, with the new and the previous correction
+    over_speeds   result of several speeds; all others are then of the lowest one, at standstill
     """
 
     samples: TrackSamples
@@ -260,11 +260,11 @@ def measure(
     progress: Progress,
     conditioning: Conditioning | None = None,
 ) -> Measurement:
-    """Calibrate; a ``conditioning`` takes precedence over that of the settings.
+    """Calibrate; ``conditioning`` takes precedence over ``settings.conditioning``.
 
-    The tracks of ``samples`` are sampled at once (:meth:`TrackSamples.together`). The delays of ``before``
-    stay: one speed does not show them.
-    CalibrationError for samples that cannot be used, CommissioningError for wrong settings.
+    The tracks of ``samples`` must be simultaneous (:meth:`TrackSamples.together`). The delays of ``before``
+    are kept: one speed does not determine them.
+    CalibrationError for unusable samples, CommissioningError for wrong settings.
     """
     if before.conditioning.cosine_delay_s and settings.conditioning is None:
         raise CommissioningError(
@@ -298,17 +298,17 @@ def block_of(calibration: Calibration) -> int:
 
 ESTIMATE = "estimate"
 FIT_PART = 0.8
-WORSE = 1.5  # than before, at any speed: noise, and no more
+WORSE = 1.5  # largest ratio of the errors after and before, at any speed, that noise explains
 
 
 @dataclass(frozen=True, eq=False)
 class OverSpeeds:
-    """What is known beyond one speed.
+    """Results of several speeds.
 
     path        the analog path
-    before      what was in force
-    after       what is to be
-    errors      at each speed, of samples that were held out
+    before      previously in force
+    after       to be put in force
+    errors      at each speed, of samples that were not fitted
     """
 
     path: PathFit
@@ -331,9 +331,9 @@ def measure_speeds(
     progress: Progress,
     delay: str | float | None = None,
 ) -> Measurement:
-    """Calibrate. ``delay`` is 2002:07 in seconds, or :data:`ESTIMATE`; None: that of ``before``.
+    """Calibrate. ``delay`` is 2002:07 in seconds, or :data:`ESTIMATE`; None: as ``before``.
 
-    CalibrationError for samples that cannot be used, CommissioningError for wrong settings.
+    CalibrationError for unusable samples, CommissioningError for wrong settings.
     """
     parts = [one.split() for one in samples]
     found = calibrate_over_speeds(
@@ -380,7 +380,7 @@ def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) 
 def check_at_speed(
     measured: SpeedSamples, active: InForce, settings: Settings, progress: Progress
 ) -> Measurement:
-    """Of samples as they came, at any speed: the analog path that is active is taken out."""
+    """Measurement from raw samples at any speed, with the active analog path removed."""
     used = active.correction
     progress(0.1)
     found = measured_at_standstill(
@@ -397,7 +397,7 @@ def check_at_speed(
 
 
 def conditioning_change(fresh: Calibration, active: Conditioning) -> dict[str, float] | None:
-    """None where there is no active conditioning."""
+    """Change of the conditioning; None if ``active`` has neither gains nor phase error."""
     if active.sine_gain == active.cosine_gain == 1.0 and not active.phase_error_rad:
         return None
     now = fit_ellipse(*fresh.tracks)

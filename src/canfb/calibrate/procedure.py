@@ -1,4 +1,4 @@
-"""Activate, verify and save a table, in this order. Whatever fails: the module is left unchanged."""
+"""Activate, verify and save a table, in this order. Any failure leaves the module unchanged."""
 
 from __future__ import annotations
 
@@ -28,14 +28,15 @@ from canfb.signal.front_end import Corners
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES
 from canfb.view.module_view import LIMIT_UNITS, PdoLayout
 
-SPARE_PHASE_ERROR = 2.0  # times the largest error of the fresh samples: not every place of the cycle was met
-# Fresh samples may come at another speed; a table that is wrong is worse than this by far.
+SPARE_PHASE_ERROR = 2.0  # 2010:0C over the largest error of the fresh samples, which do not meet every phase
+# Largest ratio of the error of fresh samples to the prediction: their speed may differ. A wrong table exceeds
+# it by far.
 WORSE = 1.5
 
 
 @dataclass
 class Installation:
-    """What was done with a measurement.
+    """Result of :func:`install`.
 
     fresh      deviation of samples taken after the activation, None: nothing was activated
     saved_as   object that saved it, None: not saved
@@ -57,11 +58,11 @@ def install(
     keep: bool = True,
     step: Callable[[str], None] = lambda text: None,
 ) -> tuple[Measurement, Installation]:
-    """Activate the new set, ``prove`` it on fresh samples, and save it if ``keep``.
+    """Activate the new correction, ``prove`` it on fresh samples, and save it if ``keep``.
 
-    ``put`` activates another table in place of the upload and gives the measurement with it. If anything
-    fails, or is interrupted, the old set is restored (and saved again, where saving had begun) before the
-    error is raised.
+    ``put`` activates another table instead of the upload and returns the measurement with it. After a
+    failure or an interruption the old correction is restored (and saved again, if saving had begun) before
+    the error is raised.
     """
     done, before, over = Installation(), measured.before, measured.over_speeds
     declared: float | None = None  # 2010:0C before; None: not read yet, or a module without it
@@ -124,7 +125,7 @@ def write_corners(module: NodeAccess, corners: Corners) -> None:
 
 
 def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> Deviation:
-    """Deviation of fresh samples with the new set. CommissioningError if it is worse than predicted."""
+    """Deviation of fresh samples with the new correction. CommissioningError if worse than predicted."""
     calibration = measured.calibration
     fresh = best_deviation(
         samples.recording(settings.adc_bits), measured.found, measured.before, block_of(calibration)
@@ -134,7 +135,7 @@ def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> 
 
 
 def verify_at_speed(fresh: SpeedSamples, measured: Measurement, settings: Settings) -> Deviation:
-    """:func:`verify` at the speed that the machine has, by the error that was predicted for the next one."""
+    """:func:`verify` at the present speed, against the error predicted for the nearest measured speed."""
     calibration, over = measured.calibration, measured.over_speeds
     assert over is not None
     block, bits = calibration.block_samples, settings.adc_bits
@@ -144,7 +145,7 @@ def verify_at_speed(fresh: SpeedSamples, measured: Measurement, settings: Settin
 
 
 def check_as_predicted(found_rms: float, predicted_rms: float, uncertainty_rms: float) -> None:
-    """CommissioningError if fresh samples show more, cycles."""
+    """CommissioningError if the error of fresh samples exceeds the prediction, cycles rms."""
     if found_rms > WORSE * predicted_rms + uncertainty_rms:
         raise CommissioningError(
             f"on fresh samples the table leaves {100 * found_rms:.3g} % of a cycle rms, "
@@ -154,7 +155,7 @@ def check_as_predicted(found_rms: float, predicted_rms: float, uncertainty_rms: 
 
 
 def declare_phase_error(module: NodeAccess, peak_cycles: float) -> float:
-    """Write 2010:0C for a largest error of the fresh samples; what stands there then, cycles."""
+    """Write 2010:0C for the largest error of the fresh samples; returns its value, cycles."""
     largest = min(
         max(SPARE_PHASE_ERROR * peak_cycles, CALIBRATED_PHASE_ERROR_CYCLES), MOST_PHASE_ERROR_CYCLES
     )
@@ -169,15 +170,15 @@ FIGURES = (
     od.MEASUREMENT_RESIDUAL_RMS,
 )
 LOOK_S = 0.2
-STANDING_S = 2.0  # no sample for this long: it waits for somebody to act
-PATIENCE_S = 120.0  # without progress: a slow computer calculates for long
+STANDING_S = 2.0  # without samples for this long, the module waits for an action of the user
+PATIENCE_S = 120.0  # longest time without progress: a slow computer may calculate for long
 
 
 def let_measure(module: NodeAccess, layout: PdoLayout, progress: Progress) -> TrackSamples:
-    """Let the module measure until it is ready; the samples that were on the bus in the meantime.
+    """Let the module measure until it is ready; returns the samples on the bus in the meantime.
 
     CalibrationError, with the module's reason, if it refuses them; CommissioningError if it cannot measure
-    or makes no progress. Then, as after an interruption, the measurement is dropped.
+    or makes no progress. Then, or after an interruption, the measurement is discarded.
     """
     _start(module, od.MeasurementCommand.START)
     try:
@@ -202,7 +203,7 @@ def let_check(module: NodeAccess, progress: Progress) -> tuple[float, float, flo
 
 
 def discard(module: NodeAccess) -> None:
-    """Drop a measurement that has not been accepted; what is active stays so. Never fails."""
+    """Discard a measurement that was not accepted; the active table is kept. Never fails."""
     with contextlib.suppress(CanfbError):
         put_back(
             module,
@@ -212,9 +213,9 @@ def discard(module: NodeAccess) -> None:
 
 
 def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Measurement:
-    """Let the module activate its table; ``measured`` with this table instead of ours.
+    """Let the module activate its own table; returns ``measured`` with this table.
 
-    CommissioningError if the module does not take it.
+    CommissioningError if the module refuses.
     """
     module.write(*od.MEASUREMENT_COMMAND, "B", od.MeasurementCommand.ACCEPT)
     state = module.integer(*od.MEASUREMENT_STATE, "B")
@@ -245,7 +246,7 @@ def _start(module: NodeAccess, command: int) -> None:
 
 
 def _wait(module: NodeAccess, target: int, progress: Progress, look: Callable[[], None]) -> None:
-    """Until 2030:02 is ``target``. CommissioningError, with what to do, where nothing moves."""
+    """Wait until 2030:02 is ``target``. CommissioningError, with advice, if it does not progress."""
     master = module.master
     progressing, sampling = Unchanged(master), Unchanged(master)
     while True:
