@@ -1,1 +1,1 @@
-"""``canfb commission``: limits of the supervision from the duty of a machine."""
+"""``canfb commission``: limits of the supervision, measured on a machine in its duty cycle."""

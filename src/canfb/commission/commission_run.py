@@ -1,6 +1,6 @@
 """``canfb commission`` from the first sample to the last file, and its figures.
 
-New limits are written, read back, watched and saved; or those from before are in force again.
+New limits are written, read back, observed and saved; a failure restores the previous ones.
 """
 
 from __future__ import annotations
@@ -58,11 +58,10 @@ class CommissionOptions:
 
 @dataclass(frozen=True, eq=False)
 class Commissioned:
-    """What came out.
+    """Result of ``canfb commission``.
 
-    before, new       the limits in the module before, and those that were chosen; choices: each with its
-                      reason
-    usual             what the module flagged during the measurement
+    before, new       limits in the module before, and chosen limits; choices: each with its reason
+    usual             samples that the module flagged during the measurement, by fault
     written           the limits were written
     saved_as          object that saved them, None: not saved
     """
@@ -79,7 +78,7 @@ class Commissioned:
 
     @property
     def largest_acceleration(self) -> float:
-        """Of the machine, cycles per interval squared: 2010:02, or what was seen while that is not known."""
+        """Of the machine, cycles per interval^2: 2010:02, or the measured one if that is 0."""
         return (
             self.new.chain_limits(self.observed.interval_s).acceleration or self.observed.motion.acceleration
         )
@@ -187,7 +186,7 @@ def _low_pass_words(done: Commissioned) -> str:
 
 
 def _rounded(value: float) -> str:
-    """Three figures, without a power of ten: 18100 in place of 1.81e+04."""
+    """Three figures without exponent: 18100, not 1.81e+04."""
     return f"{float(f'{value:.3g}'):.15g}"
 
 
@@ -203,7 +202,7 @@ def notes(done: Commissioned) -> list[str]:
 
 
 def limit_rows(done: Commissioned) -> list[Row]:
-    """Object and name; before, proposed, why."""
+    """A row for each limit: object and name; before, proposed, reason."""
     interval_s, n = done.observed.interval_s, done.new.settings.cycles_per_revolution
     return [
         Row(
@@ -349,10 +348,10 @@ def set_limits(
     keep: bool = False,
     step: Callable[[str], None] = lambda text: None,
 ) -> str | None:
-    """Write ``new``, let ``watched`` judge, save if ``keep``: the object that saved.
+    """Write ``new``, check by ``watched``, save if ``keep``; returns the object that saved.
 
-    CommissioningError if anything does not work; then, and after an interruption, ``before`` is in force
-    again, saved as well if saving had begun.
+    After a failure (CommissioningError) or an interruption ``before`` is restored, and saved again if saving
+    had begun.
     """
 
     def act() -> None:
@@ -360,7 +359,7 @@ def set_limits(
         write_limits(module, new)
         step("watching the machine with the new limits")
         watched()
-        check_limits(module, new)  # another master may have written
+        check_limits(module, new)  # another master may have changed them
 
     return change(
         module,
@@ -455,7 +454,7 @@ def _collect(
 
     def progress(part: float) -> None:
         steps.part(part)
-        if part < UPLOAD_PART:  # else the upload is on its way
+        if part < UPLOAD_PART:  # the upload has not begun
             at = session.module.integer(*od.RECORDING_RECORDED, "I")
             speed = readings.read()
             if at:

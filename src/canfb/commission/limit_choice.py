@@ -1,7 +1,7 @@
-"""Samples of a machine in its duty, followed by the chain of the module; limits of the supervision by them.
+"""Limits of the supervision from samples of a machine in its duty cycle, followed by the chain of the module.
 
-The samples leave the speed open by whole cycles per interval, which the speeds that the module reports
-(2011:07) close.
+The samples determine the speed modulo one cycle per interval; the speeds that the module reports (2011:07)
+resolve it.
 """
 
 from __future__ import annotations
@@ -46,23 +46,23 @@ from canfb.timing.grid import UNDECLARED
 from canfb.timing.syncs import USUAL_JITTER_S
 from canfb.view.module_view import LIMIT_UNITS
 
-SAME_CORNER = 0.05  # relative: what is set need not change
-LEAST_AMPLITUDE_SPREAD = 0.2  # temperature, supply and age of an encoder
+SAME_CORNER = 0.05  # relative difference of the corner below which 2001:05 is not changed
+LEAST_AMPLITUDE_SPREAD = 0.2  # allowance for temperature, supply and ageing of an encoder
 MOST_AMPLITUDE_SPREAD = 0.7
-NOISE_SIGMAS = 6.0  # beyond that a sample in 10^9
-LEAST_RESIDUAL_LIMIT = 0.02  # four times a phase error of 0.005: a table of which temperature has taken half
-LEAST_SPEED_CHANGE = 0.5  # of the top speed: less: neither a start nor a stop was measured
-LEAST_TURNED_CYCLES = 8.0  # with fewer, the same few places of the cycle can come again and again
+NOISE_SIGMAS = 6.0  # noise exceeds these in one of 10^9 samples
+LEAST_RESIDUAL_LIMIT = 0.02  # 4 x phase error; a table half spoilt by temperature leaves 0.005 cycle
+LEAST_SPEED_CHANGE = 0.5  # of the top speed; with less, neither a start nor a stop was measured
+LEAST_TURNED_CYCLES = 8.0  # over fewer cycles the samples may repeat the same few phases
 LEAST_COARSE_LIMIT = 1.0 / 256.0
 MOST_COARSE_LIMIT = 0.25
 USUAL_PERIODS, MOST_PERIODS = 2, 10
 NO_TIMES = "the times of the SYNCs are not known"
-Chosen = tuple[float | None, str]  # a value, None: the one of before; and why
+Chosen = tuple[float | None, str]  # a value (None: unchanged), and the reason
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A limit: the value of its object before, the one to write (the same: leave it), and why."""
+    """A limit: previous and new value of its object (equal: unchanged), and the reason."""
 
     place: od.Multiplexer
     before: float
@@ -79,8 +79,8 @@ def choose(
 ) -> list[Choice]:
     """All limits in the order of :data:`LIMITS`.
 
-    ``margin`` is the factor beyond what was measured, above 1. ``known_rad_s2`` is an acceleration that the
-    machine is known to do, rad/s^2, 0.0 if there is none.
+    ``margin`` is the safety factor on measured values, above 1. ``known_rad_s2`` is a known acceleration of
+    the machine, rad/s^2, 0.0: none.
     """
     before, corner = limits.values, corner_choice(machine.low_pass, limits)
     error, why = _phase_error(machine.motion, margin)
@@ -106,7 +106,7 @@ def choose(
 
 
 def corner_choice(low_pass: LowPass | None, limits: SupervisionLimits) -> Choice | None:
-    """2001:05 as the amplitude shows it; None where it shows none, and none is set."""
+    """2001:05 from the amplitude over the speed; None if none is detected and none is set."""
     before = limits.settings.corners.corner_hz
     if low_pass is None or (not low_pass.is_detected and not before):
         return None
@@ -169,7 +169,7 @@ def _motion(
 def _residual_limit(
     motion: MotionFigures, margin: float, known: float, error_cycles: float
 ) -> tuple[int, str]:
-    """2010:01, and why. ``known`` is an acceleration that is given, cycles per interval^2; 0.0: none."""
+    """2010:01, and the reason. ``known`` is a given acceleration, cycles per interval^2; 0.0: none."""
     noise, least = NOISE_SIGMAS * motion.residual_noise, max(LEAST_RESIDUAL_LIMIT, 4.0 * error_cycles)
     needed, why = _largest(
         (margin * max(motion.residual_peak, motion.acceleration + noise), f", times {margin:g}"),
@@ -264,17 +264,17 @@ MOST_FLAGGED = 0.01
 LEAST_OBSERVED_CYCLES, LEAST_MOVING = 4.0, 0.01
 AGREES_CYCLES = 0.3
 WIDEST_AMPLITUDE = 65535
-GRID_SAMPLES = 256  # as docs/time.md
-MOST_DIFFERENCE = 0.25  # of the coarse track, revolutions
+GRID_SAMPLES = 256  # times that are compared with a straight line, as in docs/time.md
+MOST_DIFFERENCE = 0.25  # largest difference of the coarse track, revolutions
 
 
 def observe(
     samples: TrackSamples, used: Correction, limits: SupervisionLimits, readings: Sequence[SpeedReading]
 ) -> Observation:
-    """Follow the samples, and look at motion, noise, amplitude and coarse track.
+    """Follow the samples, and evaluate motion, noise, amplitude and coarse track.
 
-    ``readings`` of the speed meanwhile determine how many whole cycles per interval the machine moves.
-    CommissioningError, with what to do, where the samples say too little.
+    ``readings`` of the speed determine the whole cycles per interval. CommissioningError, with advice, if the
+    samples do not suffice.
     """
     if not samples.rate_hz:
         raise CommissioningError("the rate of the samples is not known: are SYNCs received?")
@@ -295,7 +295,7 @@ def observe(
     low_pass = low_pass_of(followed, interval_s, limits.settings.corners)
     corner = corner_choice(low_pass, limits)
     if corner is not None and corner.changes:
-        # With it the amplitude is another one: the limits of before say nothing about that.
+        # The new corner changes the amplitude, so the previous limits of the amplitude do not apply.
         open_limits = limits.changed({CORNER.place: corner.value, AMPLITUDES[1]: WIDEST_AMPLITUDE})
         followed = supervise(samples, used, open_limits.chain_limits(interval_s), start_speed)
     motion = motion_figures(followed)
@@ -379,9 +379,9 @@ def _coarse_spread(
 
 
 def _longest_pause(samples: TrackSamples, interval_s: float, per_sync: int) -> float | None:
-    """Between two samples, or two SYNCs, periods of SYNC; None where the times are not known.
+    """Longest time between two samples or SYNCs, in periods of SYNC; None without times.
 
-    Of ``per_sync`` samples in a period each, those of one that is missing add that many intervals.
+    ``per_sync``: sampling intervals in a period.
     """
     if samples.received_s is None:
         return None
@@ -391,8 +391,8 @@ def _longest_pause(samples: TrackSamples, interval_s: float, per_sync: int) -> f
 
 
 def _grid(samples: TrackSamples, interval_s: float) -> tuple[float | None, float | None]:
-    """Rms of the time from SYNC to SYNC, or of sample times, and the largest distance of any from a line
-    through 256 of them, seconds; None: not known.
+    """Rms deviation of intervals between SYNCs or sample times, and the largest distance of a time from a
+    line through 256 of them, seconds; None: not known.
     """
     rms, off = None, []
     for times in (samples.received_s, samples.time_s):
@@ -407,7 +407,7 @@ def _grid(samples: TrackSamples, interval_s: float) -> tuple[float | None, float
     return rms, max(off, default=None)
 
 
-# What a limit of 0 says.
+# Meaning of a limit of 0.
 NOTHING = {
     od.SUPERVISION_ACCELERATION: "not known",
     od.SUPERVISION_FROZEN: "off",
@@ -415,7 +415,7 @@ NOTHING = {
 }
 
 
-# Limits in 1/65536: of what, and its unit.
+# Limits in 1/65536: full scale and unit.
 PARTS = {
     od.SUPERVISION_RESIDUAL_LIMIT: (1.0, " cycle"),
     od.SUPERVISION_PHASE_ERROR: (1.0, " cycle"),

@@ -1,8 +1,8 @@
-"""Figures of a machine from the samples of its duty: its motion, its signal, the noise of both.
+"""Figures of a machine from the samples of its duty cycle: motion, signal, noise of both.
 
 **Acceleration and jerk**: the second difference of the positions, averaged by a fitted parabola (positive
-weights, Savitzky and Golay), less sqrt(2 ln n) times the noise of n averages. **Noise of a phase**: sqrt(70)
-times it is the rms of the fourth difference; the median ignores faults.
+weights, Savitzky and Golay), less sqrt(2 ln n) times the noise, for n averages. **Noise of a phase**: the
+fourth difference has sqrt(70) times its rms, which the median estimates, insensitive to faults.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from canfb.signal.front_end import Corners
 from canfb.signal.phase import BoolArray, FloatArray, IntArray
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 
-HALVES = (1, 2, 4, 8, 16, 32, 64)  # of the windows of the parabolas, samples to each side
-MOVING_CYCLES = 0.02  # per interval: slower, the counts of neighbours hardly differ and noise hides
-FOURTH = math.sqrt(70.0)  # times the noise of a sample: that of the fourth difference
-SMOOTHED = 4  # of them: the noise of second differences is less than a tenth after this parabola
+HALVES = (1, 2, 4, 8, 16, 32, 64)  # half widths of the windows of the parabolas, samples to each side
+MOVING_CYCLES = 0.02  # per interval; at lower speed counts of neighbours hardly differ, which hides noise
+FOURTH = math.sqrt(70.0)  # noise of the fourth difference / noise of a sample
+SMOOTHED = 4  # half width that reduces the noise of second differences to less than a tenth
 GROUPS, LEAST_OF_GROUP = 5, 400
 
 
 @dataclass(frozen=True, eq=False)
 class MotionFigures:
-    """What a machine did; cycles and sampling intervals.
+    """Motion of a machine; in cycles and sampling intervals.
 
     slowest, fastest     speed, with sign
-    turned, moving       range of the position; part of the samples at which it moved, 0..1
-    acceleration, jerk   the largest, noise taken off
-    noise                rms of the phase of a sample at the speeds at which it is largest
-    residual             second difference at each sample from the third on; NaN where not known
-    fitted_error         of the phase, significant; NaN: the same few phases came
-    change               rms by which that of thirds of the time differs; 0.0: noise
+    turned, moving       range of the position; part of the samples in motion, 0..1
+    acceleration, jerk   largest ones, less noise
+    noise                rms noise of a phase, at the speeds with the largest one
+    residual             second difference at each sample from the third on; NaN: not known
+    fitted_error         largest significant phase error; NaN: too few different phases
+    change               rms difference of that error between thirds of the time; 0.0: not significant
     """
 
     slowest: float
@@ -77,7 +77,7 @@ class MotionFigures:
 
     @property
     def phase_error(self) -> float:
-        """The largest of a phase, cycles: at most speeds the residual shows less than four times of it."""
+        """Largest phase error, cycles: residual / 4 (too small at most speeds) or the error of the fit."""
         single = peak(_known(self.residual - smooth_acceleration(self.residual))) / 4.0
         return max(single, self.fitted_error)
 
@@ -87,15 +87,13 @@ class MotionFigures:
 
 
 def motion_figures(samples: SupervisedSamples) -> MotionFigures:
-    """The motion of these samples: more than the longest window, and at least one step between two valid
-    ones.
-    """
+    """Motion of ``samples``: more than the longest window, at least two adjacent ones valid."""
     speed, elapsed = samples.speed, samples.elapsed
     acceleration = np.diff(speed) / ((elapsed[2:] + elapsed[1:-1]) / 2.0)
     position = samples.position[samples.valid]
     moves = np.abs(speed) >= MOVING_CYCLES
     noise = _noise(acceleration, np.where(moves, np.abs(speed), np.nan)[1:])
-    slow = _known(np.convolve(speed, _bell(8), "valid"))  # a speed between two samples is mostly noise
+    slow = _known(np.convolve(speed, _bell(8), "valid"))  # averaged: between two samples it is mostly noise
     slow = slow if len(slow) else _known(speed)
     fitted_error, change = _phase_errors(samples)
     return MotionFigures(
@@ -106,15 +104,15 @@ def motion_figures(samples: SupervisedSamples) -> MotionFigures:
         acceleration=_largest(acceleration, noise, np.array([1.0, -2.0, 1.0])),
         jerk=_largest(np.diff(acceleration), noise, np.array([1.0, -3.0, 3.0, -1.0])),
         noise=noise,
-        residual=np.diff(speed) * elapsed[2:],  # eq. 9 carries the last speed on
+        residual=np.diff(speed) * elapsed[2:],  # eq. 9 predicts with the last speed
         fitted_error=fitted_error,
         change=change,
     )
 
 
-TELLING_CYCLES = 0.2  # per interval: slower, an acceleration looks like an error of the phase
-ORDERS = np.arange(1, 5)  # of the error: offset; gain and phase error; harmonics up to the third
-LEAST_TOLD = 0.01  # of an error, rms, must show in the residuals: 400 with a noise of 0.001 tell 0.005 cycle
+TELLING_CYCLES = 0.2  # per interval; at lower speed acceleration looks like a phase error
+ORDERS = np.arange(1, 5)  # orders of the error: offset; gain and phase error; harmonics up to the third
+LEAST_TOLD = 0.01  # least rms of the residuals per error: 400 residuals with noise 0.001 show 0.005 cycle
 
 
 def _phase_errors(samples: SupervisedSamples) -> tuple[float, float]:
@@ -137,7 +135,7 @@ def _fitted(
 ) -> tuple[FloatArray, FloatArray]:
     """Errors over the phase by least squares from parts of the residuals, and their noise, cycles.
 
-    Shapes (parts, BINS), (parts,); noise inf: the same few phases came.
+    Shapes (parts, BINS), (parts,); noise inf: too few different phases.
     """
     tables, noise = np.zeros((len(parts), BINS)), np.zeros(len(parts))
     for number, part in enumerate(parts):
@@ -157,13 +155,13 @@ def _errors(position: FloatArray) -> FloatArray:
 
 
 def smooth_acceleration(residual: FloatArray) -> FloatArray:
-    """Second differences averaged until their noise is a tenth; NaN where not known."""
+    """Second differences averaged to a tenth of their noise; NaN: not known."""
     unknown = np.full(SMOOTHED - 1, np.nan)
     return np.concatenate([unknown, np.convolve(residual, _bell(SMOOTHED), "valid"), unknown])
 
 
 def _noise(acceleration: FloatArray, speed: FloatArray) -> float:
-    """Of one sample, cycles. ``speed`` is its size, NaN at standstill."""
+    """Phase noise of a sample, cycles. ``speed``: absolute value, NaN at standstill."""
     fourth = np.abs(np.diff(acceleration, 2))
     known = np.isfinite(fourth) & np.isfinite(speed[1:-1])
     fourth = fourth[known][np.argsort(speed[1:-1][known])]
@@ -178,7 +176,7 @@ def _largest(values: FloatArray, noise: float, difference: FloatArray) -> float:
         averaged = _known(np.convolve(values, bell, "valid"))
         if len(averaged) < len(bell):
             break
-        sigmas = math.sqrt(2.0 * math.log(len(averaged) + 1.0))  # the largest of this many
+        sigmas = math.sqrt(2.0 * math.log(len(averaged) + 1.0))  # expected maximum of as many noise values
         by_noise = sigmas * noise * float(np.linalg.norm(np.convolve(bell, difference)))
         most = max(most, peak(averaged) - by_noise)
     return most
@@ -189,8 +187,8 @@ def _known(values: FloatArray) -> FloatArray:
 
 
 def _bell(half: int) -> FloatArray:
-    """Weights, all positive, sum 1, with which the second derivative of a fitted parabola weighs the second
-    differences in its window of 2 half + 1 samples (Savitzky and Golay).
+    """Weights of second differences that give the second derivative of a parabola fitted to 2 half + 1
+    samples (Savitzky and Golay): positive, sum 1.
     """
     place = np.arange(-half, half + 1, dtype=np.float64)
     second = 2.0 * np.linalg.pinv(np.vander(place, 3))[0]
@@ -200,11 +198,11 @@ def _bell(half: int) -> FloatArray:
 CLASSES = 12
 LEAST_OF_CLASS = 100
 LEAST_CLASSES = 3
-LOWEST_PART = 0.5  # of the top speed: there must be one that is lower
+LOWEST_PART = 0.5  # the lowest speed must be below this part of the top speed
 
 
 def low_pass_of(followed: SupervisedSamples, interval_s: float, corners: Corners) -> LowPass | None:
-    """What these samples show, the known ``corners`` undone; None where there are too few speeds."""
+    """Low-pass by the amplitude over the speed, before correction for ``corners``; None: too few speeds."""
     hertz = np.abs(followed.speed) / interval_s
     amplitude = followed.amplitude[1:]
     known = np.isfinite(hertz) & np.isfinite(amplitude)
@@ -224,13 +222,13 @@ def low_pass_of(followed: SupervisedSamples, interval_s: float, corners: Corners
     return fit_low_pass(speeds, sizes, np.hypot(AMPLITUDE_REPEATS, spread / sizes))
 
 
-ROUNDING_VARIANCE = 1.0 / 12.0  # of a count, of a converter that rounds
-HARMONICS = 12  # of the amplitude over the phase
+ROUNDING_VARIANCE = 1.0 / 12.0  # of rounding to whole counts, counts^2
+HARMONICS = 12  # orders fitted to the amplitude over the phase
 FITTED_SAMPLES = 50_000
-SURE_PART = 0.8  # of the noise that was measured; it may be less at another time
+SURE_PART = 0.8  # part of the measured noise that is assumed; it may be less at another time
 TEN_YEARS_S = 10.0 * 365.25 * 86400.0
 LEAST_REPEATS, MOST_REPEATS = 16, 255
-QUIETEST_COUNTS = 0.15  # less cannot be distinguished from a converter without noise
+QUIETEST_COUNTS = 0.15  # less noise cannot be distinguished from none
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,8 +238,8 @@ class TrackFigures:
     mean, least, most       of the amplitude over all valid samples
     over_phase              lowest, mean and highest in each of 64 bins of the phase, shape (3, 64); NaN: no
                             sample
-    noise_counts            of the converter before it rounds, rms; 0.0: none detected
-    longest_repeat          successive samples that repeat the counts of the one before
+    noise_counts            of the converter before rounding, rms; 0.0: none detected
+    longest_repeat          most successive samples that repeat the previous counts
     """
 
     mean: float
@@ -259,9 +257,9 @@ class TrackFigures:
 def track_figures(
     samples: TrackSamples, supervised: SupervisedSamples, gain: float, phase_noise_cycles: float
 ) -> TrackFigures:
-    """Amplitude and noise of these samples, some of which are valid. ``gain`` is that of the conditioning.
+    """Amplitude and noise of these samples, some of which are valid. ``gain`` of the conditioning.
 
-    The noise is the smaller one of that along the radius, which no motion adds to, and of that of the phase.
+    The noise is the smaller of radial noise, which motion does not increase, and phase noise.
     """
     valid = supervised.valid & np.isfinite(supervised.amplitude)
     amplitude, phase = supervised.amplitude[valid], supervised.position[valid] % 1.0
@@ -283,9 +281,9 @@ def track_figures(
 def repeats_of_frozen_input(noise_counts: float, rate_hz: float, margin: float, longest_repeat: int) -> int:
     """Repeats of both counts that distinguish a frozen converter from a working one (2010:04); 0: none do.
 
-    At whole cycles per sample normal noise repeats both counts n times with at most the probability q^n, q =
-    erf(1 / (2 sqrt(2) noise))^2. Less than one false alarm in ten years of that, at ``rate_hz`` samples per
-    second, more than ``margin`` times the longest repeat, at least 16; 0 beyond 255.
+    At whole cycles per sample normal noise repeats both counts n times with a probability of at most q^n,
+    q = erf(1 / (2 sqrt(2) noise))^2. The result gives less than one false alarm in ten years at this speed,
+    ``rate_hz`` samples per second, exceeds ``margin`` x the longest repeat, and is at least 16; 0 beyond 255.
     """
     if noise_counts < QUIETEST_COUNTS:
         return 0
@@ -296,12 +294,12 @@ def repeats_of_frozen_input(noise_counts: float, rate_hz: float, margin: float, 
 
 
 def _radial_noise(supervised: SupervisedSamples, valid: BoolArray) -> float:
-    """Noise of the amplitude, counts, its course over the phase taken off."""
+    """Noise of the amplitude less its mean course over the phase, counts."""
     amplitude = np.where(valid, supervised.amplitude, np.nan)
     used = np.flatnonzero(valid)[:FITTED_SAMPLES]
     phase = np.where(valid, supervised.position % 1.0, 0.0)
     course, *_ = np.linalg.lstsq(_waves(phase[used]), amplitude[used], rcond=None)
-    step = 100_000  # bounded memory
+    step = 100_000  # samples at a time: bounds the memory
     rest = np.concatenate(
         [amplitude[k : k + step] - _waves(phase[k : k + step]) @ course for k in range(0, len(phase), step)]
     )
@@ -326,18 +324,16 @@ def _over_phase(amplitude: FloatArray, phase: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Samples of a machine, followed from their start on, and what was seen; None: not known.
+    """Samples of a machine, and results of following them; None: not known.
 
     start_speed          at the first sample, cycles per interval
-    followed             the chain's account, with the limits that the module has, and the corner that is
-                         chosen
+    followed             results of the chain with the limits of the module and the chosen corner
     interval_s           sampling interval, seconds
-    coarse_spread        range of the difference of the coarse track, revolutions; coarse_note: why it is not
-                         known
-    longest_pause        the longest time without SYNC or sample, periods
-    low_pass             by the amplitude over the speed
-    jitter_s             rms of the time from SYNC to SYNC, or by sample times
-    off_grid_s           largest distance of a SYNC, or of a sample time, from the even grid
+    coarse_spread        range of the difference of the coarse track, revolutions; coarse_note: why unknown
+    longest_pause        longest time without SYNC or sample, periods
+    low_pass             from the amplitude over the speed
+    jitter_s             rms of the intervals between SYNCs or sample times
+    off_grid_s           largest distance of a SYNC or sample time from the even grid
     """
 
     samples: TrackSamples
@@ -355,5 +351,5 @@ class Observation:
     low_pass: LowPass | None
 
     def rad(self, cycles: float, power: int, cycles_per_revolution: int) -> float:
-        """Cycles per interval to this power, as rad per second to this power."""
+        """Convert cycles per interval^``power`` to rad/s^``power``."""
         return cycles * 2.0 * math.pi / cycles_per_revolution / self.interval_s**power
