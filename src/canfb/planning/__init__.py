@@ -1,2 +1,1 @@
-"""What a bit rate, a SYNC rate, an encoder and a motion allow: pure arithmetic over a module, its interface
-and a motion."""
+"""Limits and margins of bit rate, SYNC rate, encoder and motion: pure arithmetic."""

@@ -1,8 +1,9 @@
-"""Diagnostic coverage: how much of the faults of an encoder the configured limits detect.
+"""Diagnostic coverage: the part of encoder faults that the configured limits detect.
 
-:func:`area_coverage` is 1 - allowed area / whole area of the voltages; with the residual only the phases
-within L of the predicted one are left of the ring. :func:`fault_coverage` puts the faults of IEC 61800-5-2,
-one by one, into the tracks of a machine in motion. It knows neither the ambiguity after a fault nor 2010:04.
+:func:`area_coverage` is 1 - allowed area / whole area of the voltages: the amplitude limits allow a ring, and
+the residual limit L only its phases within L of the predicted one. :func:`fault_coverage` injects the
+faults of IEC 61800-5-2 into the tracks of a machine in motion, regardless of the ambiguity after a fault and
+of 2010:04.
 """
 
 from __future__ import annotations
@@ -37,21 +38,21 @@ from canfb.simulation.faults import (
 )
 from canfb.view.module_view import mapped_objects
 
-CASES = 400  # of each fault
-FAULTY_SAMPLES = 200  # as in docs/evidence.md
+CASES = 400  # cases of each fault
+FAULTY_SAMPLES = 200  # duration of a fault, as in docs/evidence.md
 HARM_CYCLES = 0.25
 LONGEST_RAMP = 200
 SEED = 61800
-USUAL_TOLERANCE = 0.01  # revolutions, as in docs/homing.md
-LEAST_MOTION_CYCLES = 0.01  # where no motion is given
+USUAL_TOLERANCE = 0.01  # of a second position, revolutions, as in docs/homing.md
+LEAST_MOTION_CYCLES = 0.01  # acceleration if no motion is given, cycles per interval^2
 SECOND = od.SAMPLE_SECOND_POSITION.mapped(32)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampleWindow:
-    """What a sample is held against.
+    """The limits that samples are checked against.
 
-    sample                      a count at either end of the converter, and another amplitude, are refused
+    sample                      limits of amplitude and converter range
     nominal_counts              amplitude of the healthy tracks
     limit_cycles                residual limit L
     motion_cycles               largest acceleration, cycles per interval^2
@@ -75,10 +76,10 @@ class Shares(NamedTuple):
 
 @dataclass(frozen=True)
 class FaultCoverage:
-    """Of the faults of one kind that move phase or position by more than a quarter of a cycle.
+    """Detection of the harmful faults of one kind, which shift phase or position by more than 0.25 cycle.
 
     harmful     their number, of ``CASES``
-    within      samples until 99 % of those are detected that amplitude or residual detects; None: none is
+    within      samples until amplitude or residual show 99 % of the faults that they detect; None: none
     """
 
     name: str
@@ -88,7 +89,7 @@ class FaultCoverage:
 
 
 def window_of(budget: ResidualBudget) -> SampleWindow:
-    """What the samples of a module are held against; a second position of 0.01 revolution if it has none."""
+    """The limits of a module; without a second position a tolerance of 0.01 revolution is assumed."""
     settings, tolerance = budget.module.settings, second_tolerance(budget) or USUAL_TOLERANCE
     return SampleWindow(
         sample=settings.sample,
@@ -100,14 +101,14 @@ def window_of(budget: ResidualBudget) -> SampleWindow:
 
 
 def second_tolerance(budget: ResidualBudget) -> float | None:
-    """2014:04, revolutions, of a module that gets a second position; else None."""
+    """2014:04, revolutions; None if the module receives no second position."""
     values = budget.module.values
     tolerance = float(values.get(od.SECOND_TOLERANCE, 0.0))
     return tolerance if tolerance and SECOND in mapped_objects(values.get) else None
 
 
 def area_coverage(window: SampleWindow) -> Shares:
-    """Of voltages that may be anything within the range of the converter."""
+    """Coverage for voltages anywhere in the range of the converter."""
     full = float(window.sample.full_scale_counts)
     whole = 4.0 * full * full
     ring = (
@@ -127,9 +128,9 @@ def _disc(radius: float, half_side: float) -> float:
     return radius * radius * (math.pi - 4.0 * inside) + 4.0 * half_side * radius * math.sin(inside)
 
 
-@cache  # alike modules have one window
+@cache  # equal modules have equal windows
 def fault_coverage(window: SampleWindow) -> list[FaultCoverage]:
-    """Each kind of fault, at all phases and speeds; the result depends on ``window`` alone."""
+    """Coverage of each kind of fault, at all phases and speeds; a function of ``window`` alone."""
     return [_covered(window, name, draw) for name, draw in KINDS.items()]
 
 
@@ -137,7 +138,7 @@ def _covered(window: SampleWindow, name: str, draw: Callable[[Rng, float], Fault
     rng = np.random.default_rng([SEED, list(KINDS).index(name)])
     total = ORDER + FAULTY_SAMPLES
     truth = np.stack([_motion(window, total, rng) for _ in range(CASES)])
-    # Without its coupling the encoder goes on at its last speed.
+    # Fault of the coupling: the encoder continues at its last speed.
     clean = truth if draw is not None else truth[:, :1] + np.arange(total) * np.diff(truth[:, :2])
     angle = 2.0 * np.pi * clean
     sine, cosine = (np.rint(window.nominal_counts * track(angle)) for track in (np.sin, np.cos))
@@ -155,9 +156,9 @@ def _covered(window: SampleWindow, name: str, draw: Callable[[Rng, float], Fault
 
 
 def _motion(window: SampleWindow, total: int, rng: Rng) -> FloatArray:
-    """True positions, cycles; from the fault on accelerated.
+    """True positions, cycles; accelerated from the fault on.
 
-    Whole cycles per interval make no difference to eq. 9, so the speed is within half a cycle.
+    Eq. 9 does not depend on whole cycles per interval, so the speed is within half a cycle.
     """
     k = np.arange(total) - ORDER + 1.0
     high = float(rng.uniform(-1.0, 1.0)) * window.motion_cycles
@@ -221,7 +222,7 @@ def _oscillation(rng: Rng, nominal: float) -> Fault:
     return oscillation(signal, size, rate, float(rng.uniform(0.0, 2.0 * math.pi)))
 
 
-# By name: draws one of given nominal amplitude, counts. None: not in the tracks.
+# Kinds of faults: a function that draws one for a nominal amplitude, counts. None: not a fault of the tracks.
 KINDS: dict[str, Callable[[Rng, float], Fault] | None] = {
     "one track open": lambda rng, nominal: open_track(_one(rng), float(rng.uniform(0.0, 5.0))),
     "both open": lambda rng, nominal: open_track(Signal.BOTH, float(rng.uniform(0.0, 5.0))),

@@ -1,4 +1,4 @@
-"""What to change: the hints for each limit, in the order of what they cost, each tried on the plan."""
+"""Proposed changes for each exceeded limit, cheapest first, each tried on the plan."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.simulation.set_up import rounded_up
 from canfb.view.module_view import LIMIT_UNITS
 
-LEAVES = 0.95  # of the largest SYNC rate, of what is sharp
+LEAVES = 0.95  # part of a limit (largest SYNC rate, 1/6 of a sharp detection) that a hint uses
 FASTER = 1.05
-MOST_FASTER = 40  # steps of FASTER: 7 times the rate
-KNOWN_ENOUGH = 1.1  # what the module knows over what is given
-NOISE_MARGIN = 6  # docs/supervision.md
-NARROWED = 0.95  # of the residual limit: a gain
+MOST_FASTER = 40  # steps of FASTER that are tried, up to 7 times the rate
+KNOWN_ENOUGH = 1.1  # 2010:02 / given acceleration below which 2010:02 need not be lowered
+NOISE_MARGIN = 6  # proposed 2010:09, see docs/supervision.md
+NARROWED = 0.95  # a change must narrow the residual limit at least to this part
 NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}
-Ways = Iterator[tuple[str, Plan]]  # What to do in one line, and the plan then.
+Ways = Iterator[tuple[str, Plan]]  # Changes: what to do, in one line, and the resulting plan.
 
 
 @dataclass(frozen=True)
 class PlanChange:
-    """One change: what it widens, what to do in one line, and the plan then."""
+    """One change: the limit that it helps, what to do in one line, and the resulting plan."""
 
     for_what: str
     text: str
@@ -34,8 +34,8 @@ class PlanChange:
 
 
 def changes_of(plan: Plan) -> list[PlanChange]:
-    """What to change, in order: first what is exceeded most, at last what makes the detection sharp. Empty:
-    nothing."""
+    """The changes in order: first for the limit that is exceeded most, last for a sharp detection. Empty:
+    none required."""
     steps: list[PlanChange] = []
     while not plan.holds:
         found = _for(plan, plan.tightest)
@@ -54,7 +54,7 @@ def changes_of(plan: Plan) -> list[PlanChange]:
 
 
 def _for(plan: Plan, margin: Margin) -> PlanChange | None:
-    """The first change that harms nothing else; where each one does, the first that helps."""
+    """The first change that helps and impairs no other margin, else the first that helps."""
     was = {one.limited: one.factor for one in reversed(plan.margins)}
     ways = {Limited.BUS: _of_the_bus, Limited.SPEED: _of_the_speed}.get(margin.limited, _of_the_motion)
     helping: list[PlanChange] = []
@@ -114,7 +114,7 @@ def _times(plan: Plan) -> Ways:
     if not all(module.times for module in plan.modules):
         try:
             after = replace(plan, modules=tuple(module.with_times() for module in plan.modules))
-        except ValueError:  # no RPDO has room for them
+        except ValueError:  # the RPDOs have no room for times
             return
         yield "send sample times with the ADC PDO (times: true)", after
 
@@ -145,7 +145,7 @@ def _more_samples(plan: Plan) -> Ways:
         try:
             modules = tuple(one.with_samples(max(count, one.samples_per_sync)) for one in plan.modules)
             after = replace(plan, modules=modules)
-        except ValueError:  # no RPDO is left
+        except ValueError:  # no free RPDO
             return
         if all(one.holds for one in after.margins if one.limited not in (Limited.BUS, Limited.SPEED)):
             more = sum(one.sample_bytes for one in modules) - sum(one.sample_bytes for one in plan.modules)
@@ -176,7 +176,7 @@ def _sharper(plan: Plan) -> Ways:
 
 
 def _as_shown(most: float) -> float:
-    return float(f"{most * 0.9995:.4g}")  # four digits are rounded by no more
+    return float(f"{most * 0.9995:.4g}")  # rounding to four digits must not exceed the limit
 
 
 def _narrowed(plan: Plan, place: od.Multiplexer, value: float, name: str) -> tuple[str, Plan]:
@@ -200,7 +200,7 @@ def _faster_buses(plan: Plan) -> list[Plan]:
 
 
 def _needed_limit(plan: Plan) -> float:
-    """In thousandths: 2010:01 rounds down by 1/65536."""
+    """The limit needed, rounded up to 0.001: 2010:01 rounds down to 1/65536."""
     needed = max(budget.needed_cycles for budget in plan.budgets)
     return math.floor(min(needed, 1.0) * 1000.0 + 1.1) / 1000.0
 

@@ -1,15 +1,15 @@
-"""A plan: bus, SYNC, modules, motion; the limits that follow with their margins; what cannot pass unseen.
+"""A plan: bus, SYNC, modules, motion; the resulting limits with their margins; errors always detected.
 
 The residual of a healthy machine is at most
 
     a N/(2 pi) T^2  +  4 v u  +  4 e  +  noise
 
-with acceleration a, speed v, error e of a phase, interval T from sample to sample, and the uncertainty u of
-the sampling instant: without sample times half the range of the SYNC, with them half a unit of the sample
-time. Errors of a phase add up to the largest, their squares to the rms.
+with acceleration a, speed v, phase error e, sampling interval T, and the uncertainty u of the sampling
+instant: half the range of the SYNC, with sample times half a unit of these. Phase errors add linearly
+for the largest, quadratically for the rms.
 
-n samples in a row are without harm while (n + 2) (L + a) <= 1 and floor((n + 2)^2 / 4) (L + a) <= 1, L the
-residual limit, a the acceleration in cycles per interval squared (docs/supervision.md).
+n bad samples in a row are harmless if (n + 2) (L + a) <= 1 and floor((n + 2)^2 / 4) (L + a) <= 1, with the
+residual limit L and the acceleration a in cycles per interval squared (docs/supervision.md).
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ from canfb.signal.limits import (
 )
 from canfb.signal.sample import TICK_S
 
-ROUNDED_AMPLITUDE = 0.75  # of full scale, as the simulated encoder has it
-RAW_PHASE_ERROR_CYCLES = 0.0113  # of Table 1, without a correction table
-TABLE_PHASE_ERROR_CYCLES = 0.001  # of what a reference measurement leaves
-PEAK = 6.0  # standard deviations of the noise: one healthy sample in 5e8 is further off
+ROUNDED_AMPLITUDE = 0.75  # default amplitude, part of full scale, that of the simulated encoder
+RAW_PHASE_ERROR_CYCLES = 0.0113  # largest error of Table 1, without a correction table
+TABLE_PHASE_ERROR_CYCLES = 0.001  # largest error that a reference measurement leaves
+PEAK = 6.0  # standard deviations of noise that one of 5e8 healthy samples exceeds
 ROUNDING_VARIANCE = 1.0 / 12.0  # counts^2
-WEIGHTS, SQUARES = 4.0, 6.0  # sums of the sizes and of the squares of 1, 2, 1 (eq. 9)
-HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
-HALF_A_UNIT = 0.5 / 65536  # cycle: 2010:0C is rounded
-SUM_ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # of sums: a limit that is narrowed to the motion holds
+WEIGHTS, SQUARES = 4.0, 6.0  # sums of the absolute values and the squares of the weights 1, -2, 1 of eq. 9
+HALF_TICK_S = TICK_S / 2.0  # largest error about the mean of a sample time, which is rounded down
+HALF_A_UNIT = 0.5 / 65536  # rounding of 2010:0C, cycle
+SUM_ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # for rounding: a limit equal to the motion holds
 
 
 @dataclass(frozen=True)
 class CountDetection:
-    """What a supervision by eq. 12 detects.
+    """Detection by the supervision of eq. 12.
 
-    limit_cycles       the residual limit, L: a jump of the phase below it may pass
-    motion_cycles      what the motion uses of it: the largest acceleration, cycles per interval squared
-    error_cycles       largest error of a phase, without noise
-    declared           what is declared of machine and encoder: the motions that are followed after a gap
+    limit_cycles       residual limit L: a smaller jump of the phase may pass
+    motion_cycles      part of it used by the motion: largest acceleration, cycles per interval squared
+    error_cycles       largest phase error, without noise
+    declared           declared limits of machine and encoder: motions considered after a gap
     """
 
     limit_cycles: float
@@ -76,7 +76,7 @@ class CountDetection:
         return self.declared.kept_samples(self.motion_cycles)
 
     def kept_with(self, **declared: Any) -> int:
-        """:attr:`missed_samples` if this were declared instead, by the names of :class:`Declared`."""
+        """:attr:`missed_samples` with these other values of :class:`Declared`."""
         return replace(self.declared, **declared).kept_samples(self.motion_cycles)
 
     @property
@@ -88,17 +88,17 @@ class CountDetection:
 
     @property
     def half_cycle(self) -> bool:
-        """A jump of half a cycle (both tracks inverted) is seen at once."""
+        """Whether a jump of half a cycle (both tracks inverted) is detected at once."""
         return self.limit_cycles + self.motion_cycles < 0.5
 
     @property
     def is_sharp(self) -> bool:
-        """Below 1/6 (docs/supervision.md)."""
+        """Whether L + a is at most 1/6 (docs/supervision.md)."""
         return self.limit_cycles + self.motion_cycles <= SHARP + ROUNDING
 
 
 class Limited(StrEnum):
-    """What has a limit."""
+    """Quantities with a limit."""
 
     BUS = "bus load"
     SPEED = "speed"
@@ -110,8 +110,8 @@ class Limited(StrEnum):
 class Margin:
     """A given value against its limit.
 
-    module    whose limit it is; None: that of the bus
-    factor    limit over value; inf where nothing is limited or nothing is asked
+    module    module that has the limit; None: the bus
+    factor    limit / value; inf without limit or value
     """
 
     limited: Limited
@@ -125,23 +125,22 @@ class Margin:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Its input, and what that allows.
+    """Input of a plan, and the resulting margins.
 
     bit_rate        bit/s, 10000..1000000
     sync_hz         SYNC rate
     jitter_s        of the SYNC at its producer, +-
-    aperture_s      of the instant at which the tracks are held, +-, beside the sample time
+    aperture_s      jitter of the sampling instant, +-, added to the error of the SYNC or sample time
     extra_load      of frames of other nodes, 0..1
     heartbeat_s     of every node, 0.0: as each node has it
     modules         at least one
-    others          further nodes, by node-ID: their objects
-    speed_rad_s, acceleration_rad_s2   largest ones that the encoders have to follow; None: not given
-    is_final        no module has to follow more, even by its 2010:02
-    where           who says so, for people
+    others          objects of further nodes, by node-ID
+    speed_rad_s, acceleration_rad_s2   largest ones of the machine; None: not given
+    is_final        these apply even if 2010:02 of a module is larger
+    where           origin of these values, for messages
     noise_counts    rms noise of a track before the ADC, counts
     amplitude       of the tracks, relative to full scale
-    phase_cycles    largest error of a phase that enters eq. 9; None: that of the module with its table,
-                    or without
+    phase_cycles    largest phase error in eq. 9; None: the usual one, with or without table
     """
 
     bit_rate: int
@@ -177,7 +176,7 @@ class Plan:
 
     @cached_property
     def margins(self) -> tuple[Margin, ...]:
-        """The smallest factor first."""
+        """All margins, smallest factor first."""
         speed = self.speed_rad_s
         found = [Margin(Limited.BUS, None, over(1.0, self.bus.load))]
         for budget in self.budgets:
@@ -201,7 +200,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class ResidualBudget:
-    """One module under the motion of the plan. What is not given counts as 0."""
+    """Residual of one module with the motion of the plan, in which missing values count as 0."""
 
     plan: Plan
     module: PlannedModule
@@ -216,7 +215,7 @@ class ResidualBudget:
 
     @cached_property
     def limit_cycles(self) -> float:
-        """In force at the given speed: uncertain sample times widen a narrowed one."""
+        """Residual limit at the given speed: uncertain sample times widen a narrowed limit."""
         return self.module.settings.limit_cycles(
             self.plan.sync_hz, self.measured_noise_cycles, self.plan.speed_rad_s
         )
@@ -227,7 +226,7 @@ class ResidualBudget:
         return replace(bounds, coast_samples=self.module.coast_samples, samples_per_sync=1)
 
     def detection(self, limit_cycles: float | None = None) -> CountDetection:
-        """With the limit in force, or another one."""
+        """Detection with the limit in force, or with ``limit_cycles``."""
         limit = self.limit_cycles if limit_cycles is None else limit_cycles
         return CountDetection(
             limit,
@@ -254,18 +253,18 @@ class ResidualBudget:
 
     @property
     def asked_rad_s2(self) -> float | None:
-        """What this module has to follow: the largest acceleration of its machine counts, too."""
+        """Acceleration to follow: the given one, or 2010:02 if larger."""
         given, known = self.plan.acceleration_rad_s2, self.module.settings.acceleration_rad_s2
         return given if self.plan.is_final or not known else max(known, given or 0.0)
 
     @cached_property
     def sync_jitter_s(self) -> float:
-        """Half its range: of the producer and of frames before it; or 2010:0D."""
+        """Half the range of SYNC jitter by producer and preceding frames; 2010:0D if larger."""
         return max(self.plan.jitter_s + self.plan.bus.sync_delay_s / 2.0, self.module.settings.sync_jitter_s)
 
     @cached_property
     def uncertainty_s(self) -> float:
-        """Of the sampling instant, half its range; 0.0 for a module that samples itself."""
+        """Half the range of the sampling instant; 0.0 for a module that samples itself."""
         if self.module.samples_itself:
             return 0.0
         jitter_s = 0.0 if self.module.samples_per_sync > 1 else self.sync_jitter_s
@@ -273,7 +272,7 @@ class ResidualBudget:
 
     @property
     def known_uncertainty_s(self) -> float:
-        """Resolution of sample times, which the module adds to its limit."""
+        """Resolution of sample times, by which the module widens its limit."""
         return HALF_TICK_S if self.module.times and not self.module.samples_itself else 0.0
 
     @property
@@ -301,30 +300,33 @@ class ResidualBudget:
 
     @property
     def equation_rad_s2(self) -> float:
-        """Eq. 12 without any errors."""
+        """Largest acceleration by eq. 12 without errors."""
         return self._acceleration(self.limit_cycles, self.sample_hz)
 
     @property
     def paper_rad_s2(self) -> float:
-        """Eq. 10."""
+        """Largest acceleration by eq. 10."""
         return max_acceleration(self.module.settings.cycles_per_revolution, self.sample_hz)
 
     @property
     def largest_acceleration_rad_s2(self) -> float:
-        """With the speed as given, unless that alone is too much; 0.0 if the errors need the whole limit."""
+        """Largest acceleration at the given speed, or a low one if that alone exceeds the limit.
+
+        0.0 if the errors use the whole limit.
+        """
         left = self.left_cycles(self.limit_cycles, self.declared.residual_limit)
         return self._acceleration(left, 1.0 / self.worst_interval_s)
 
     @property
     def equation_speed_rad_s(self) -> float:
-        """w v u < L without any errors; inf without an uncertainty."""
+        """Largest speed v with 4 v u < L, without other errors; inf if u = 0."""
         return self._speed_beside(0.0)
 
     @property
     def largest_speed_rad_s(self) -> float:
-        """With the acceleration as given, unless that alone is too much.
+        """Largest speed at the given acceleration, or without one if that alone exceeds the limit.
 
-        0.0 if the errors need the whole limit, inf if the sampling instants are known.
+        0.0 if the errors use the whole limit, inf if the sampling instants are known.
         """
         left = self.declared.residual_limit - self.motion_cycles
         motion = 0.0 if left < self.rest_cycles(0.0) - ROUNDING_CYCLES else self.motion_cycles
@@ -339,10 +341,10 @@ class ResidualBudget:
 
     @property
     def least_sync_hz(self) -> float:
-        """The SYNC rate below which the motion takes too much; inf if no rate is enough.
+        """The lowest SYNC rate at which the motion stays within the limit; inf if none suffices.
 
-        With 2010:01: a limit that is narrowed follows the rate. A speed that is too high alone does not
-        count.
+        Calculated with 2010:01, because a narrowed limit depends on the rate. A speed that alone is too high
+        is ignored.
         """
         widest = self.module.settings.widest_cycles
         taken, left = self.motion_cycles, self.left_cycles(widest, widest)
@@ -352,35 +354,35 @@ class ResidualBudget:
 
     @cached_property
     def off_s(self) -> float:
-        """How far samples may be from equal intervals, +-, if their times are known.
+        """Largest deviation of known sample times from equal intervals, +-.
 
-        0.0 without sample times: they count as equal then, and as an error of the position.
+        0.0 without sample times: the deviation then counts as an error of the position.
         """
         by_sync = self.module.samples_per_sync == 1 and not self.module.samples_itself
         return self.sync_jitter_s if self.module.times and by_sync else 0.0
 
     @property
     def worst_interval_s(self) -> float:
-        """Equal intervals that leave as much of eq. 9 as unequal ones at worst: a h (g + h)/2."""
+        """Equal interval with the residual of the worst unequal intervals g, h: a h (g + h) / 2."""
         return math.sqrt((self.interval_s + 2.0 * self.off_s) * (self.interval_s + self.off_s))
 
     @cached_property
     def phase_noise_cycles(self) -> float:
-        """The rms noise of a phase; inf without an amplitude."""
+        """Rms noise of a phase; inf without amplitude."""
         counts = math.sqrt(self.plan.noise_counts**2 + ROUNDING_VARIANCE)
         amplitude = self.plan.amplitude * self.module.settings.sample.full_scale_counts
         return counts / (2.0 * math.pi * amplitude) if amplitude else math.inf
 
     @property
     def phase_error_cycles(self) -> float:
-        """Without noise, given or usual."""
+        """Phase error without noise, given or usual."""
         if self.plan.phase_cycles is not None:
             return self.plan.phase_cycles
         return TABLE_PHASE_ERROR_CYCLES if self.module.has_table else RAW_PHASE_ERROR_CYCLES
 
     @property
     def phase_cycles(self) -> float:
-        """Errors of the phases in a residual: all at the same time, or six deviations of the noise."""
+        """Phase errors in a residual: their largest sum or, with 2010:09, six sigma of its noise."""
         largest = WEIGHTS * self.phase_error_cycles + PEAK * math.sqrt(SQUARES) * self.phase_noise_cycles
         return min(largest, PEAK * self.measured_noise_cycles) if self.has_noise_margin else largest
 
@@ -392,7 +394,7 @@ class ResidualBudget:
         return WEIGHTS * cycles_per_s * self.uncertainty_s
 
     def rest_cycles(self, instants_cycles: float) -> float:
-        """All but the motion; without a table 4 x 2010:0C at least."""
+        """Residual without motion; without a table at least 4 x 2010:0C."""
         uncorrected = self.plan.phase_cycles is None and not self.module.has_table
         rest = self.phase_cycles + instants_cycles
         return max(rest, self._declared_cycles) if uncorrected else rest
@@ -402,12 +404,12 @@ class ResidualBudget:
         return WEIGHTS * self.module.settings.phase_error_cycles
 
     def left_cycles(self, limit_cycles: float, slow_limit_cycles: float) -> float:
-        """What a limit, and that of a slow machine, leave; without the speed if that is too much."""
+        """Part of a limit left for motion; if the speed leaves none, the part for a slow machine."""
         left = limit_cycles - self.rest_cycles(self.instants_cycles)
         return left if left > 0.0 else slow_limit_cycles - self.rest_cycles(0.0)
 
     def speed_rad_s(self, left_cycles: float, uncertainty_s: float) -> float:
-        """At which the instants need so much; inf if they are known."""
+        """Speed at which uncertain instants use ``left_cycles``; inf if they are known."""
         if left_cycles <= 0.0:
             return 0.0
         if uncertainty_s <= 0.0:
@@ -420,7 +422,7 @@ class ResidualBudget:
 
 
 def over(limit: float, value: float) -> float:
-    """The margin of a limit as a factor; inf if nothing is asked, or nothing limits."""
+    """``limit`` / ``value``; inf for value 0 or without limit."""
     if value == 0.0 or math.isinf(limit):
         return math.inf
     factor = limit / value

@@ -1,6 +1,6 @@
 """The input of a plan: a bus, its SYNC, its modules, and the motion of their encoders.
 
-:func:`plan_of` takes it from a configuration, as far as :class:`PlanOptions` do not override it;
+:func:`plan_of` takes it from a configuration, unless :class:`PlanOptions` override it;
 :func:`modules_alike` and :func:`numbered` make the configuration.
 """
 
@@ -89,9 +89,9 @@ class PlanOptions:
 
 
 def plan_of(config: Config, modules: Iterable[DeviceConfiguration], options: PlanOptions) -> Plan:
-    """What is planned: ``modules`` are those of ``config`` as they come up, in its order.
+    """The plan: ``modules`` are those of ``config`` after power-on, in its order.
 
-    ValueError for a bit rate of the configuration that no classic CAN has.
+    ValueError for a configured bit rate that classic CAN does not support.
     """
     simulation = config.simulation
     planned = tuple(
@@ -205,7 +205,7 @@ def modules_alike(count: int | None, adc_bits: int | None) -> Config:
 
 
 def numbered(config: Config) -> Config:
-    """The same, with a free node-ID for each module that is to get one by LSS."""
+    """``config`` with a free node-ID for each module that gets one by LSS."""
     nodes = {node for one in config.modules for node in (one.node_id, one.encoder_interface)}
     if config.simulation.drive is not None:
         nodes.add(config.simulation.drive.node_id)

@@ -1,7 +1,7 @@
-"""A plan for people and for programs: the bus as a table, each module with its margins, what to change first.
+"""A plan as text and JSON: the bus as a table, each module with its margins, what to change first.
 
-The rows of a module are printed, named ones as ``name: words``, the others below them, and give its JSON:
-figures in the units of their keys, null for what is not limited or not given.
+The rows of a module are printed, named ones as ``name: words``, all others below them, and give its JSON:
+figures in the units of their keys, null without limit or value.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def plan_figures(plan: Plan, changes: list[PlanChange]) -> dict[str, Any]:
 
 
 def plan_lines(plan: Plan, changes: list[PlanChange], *, coverage: bool = False) -> list[str]:
-    alike: dict[tuple[str, ...], list[str]] = {}  # modules that differ by their node-ID alone share lines
+    alike: dict[tuple[str, ...], list[str]] = {}  # modules that differ only in their node-ID share lines
     for budget in plan.budgets:
         rows = _module_rows(budget) + (coverage_rows(budget) if coverage else [])
         alike.setdefault((*_heading(budget), *_as_lines(rows)), []).append(f"{budget.module.node_id:02X}h")
@@ -206,7 +206,7 @@ def _limited_row(name: str, unit: str, given: float | None, largest: float, **fi
 
 
 def analog_row(module: PlannedModule, speed_rad_s: float | None) -> Row:
-    """The analog path at the largest speed (2002:06, 2002:07, 2001:05); nothing where none of it is known."""
+    """The analog path at the largest speed (2002:06, 2002:07, 2001:05); no words if it is not known."""
     hertz = (speed_rad_s or 0.0) * module.settings.cycles_per_revolution / (2.0 * math.pi)
     pairs = zip(od.CONDITIONING, IDENTITY.values, strict=True)
     used = Conditioning(*(float(module.values.get(place, default)) for place, default in pairs))

@@ -1,7 +1,7 @@
-"""The frames of a bus: how long they are at worst, how often they come, the load, and what delays a SYNC.
+"""The frames of a bus: worst-case length, rate, load, and delay of a SYNC.
 
-:class:`PlannedModule` is one of its modules, by its objects: those of the configuration, or what was saved
-over them; :func:`laid_out` gives the RPDOs that bring its samples another layout.
+:class:`PlannedModule` is a module, described by its objects, configured or saved; :func:`laid_out` changes
+the layout of the RPDOs with its samples.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Values = Mapping[Place, Any]  # Objects of a node by index and sub-index.
 HEARTBEAT = (0x1017, 0)
 EMCY_COB_ID, EMCY_INHIBIT = (0x1014, 0), (0x1015, 0)
 EMCY_BYTES = 8
-MOST_EMCY_HZ = 2.0 / SHORTEST_S  # the alarm of the position and its end, again and again
+MOST_EMCY_HZ = 2.0 / SHORTEST_S  # if the alarm of the position appears and ends as often as possible
 INHIBIT_S, TIMER_S = 1e-4, 1e-3  # units of sub-indices 3 and 5 of a TPDO, and of 1015h and 1017h
 
 
@@ -34,13 +34,13 @@ INHIBIT_S, TIMER_S = 1e-4, 1e-3  # units of sub-indices 3 and 5 of a TPDO, and o
 class Message:
     """The frames of one COB-ID.
 
-    kind          what it is, for people
-    node_id       who sends it; None: who produces the SYNC
+    kind          description, for messages
+    node_id       sender; None: the producer of SYNC
     data_bytes    0..8
     each_syncs    SYNCs per frame; None: not by SYNC
-    least_hz      so often without any SYNC: an event timer, a heartbeat
-    most_hz       at most so often: an inhibit time
-    on_error      only after a fault: it counts for the load, and never delays a SYNC of a healthy network
+    least_hz      rate without SYNC: event timer, heartbeat
+    most_hz       highest rate, by the inhibit time
+    on_error      only after a fault: counts for the load, but does not delay a SYNC of a healthy network
     """
 
     can_id: int
@@ -58,12 +58,12 @@ class Message:
 
     @property
     def bits(self) -> int:
-        """On the wire, with the most stuff bits and the interframe space."""
+        """Bits on the wire, with the most stuff bits and the interframe space."""
         return frame_bits(self.data_bytes)
 
     def rate_hz(self, sync_hz: float) -> float:
         by_sync = 0.0 if self.each_syncs is None else sync_hz / self.each_syncs
-        # An event timer begins again with each frame: it is never over while events come faster.
+        # An event timer restarts with each frame: it never expires if frames come faster by SYNC.
         timed = self.least_hz if self.least_hz >= by_sync else 0.0
         return min(by_sync + timed, self.most_hz)
 
@@ -71,7 +71,7 @@ class Message:
         return self.bits * self.rate_hz(sync_hz)
 
     def follows_sync(self, sync_hz: float) -> bool:
-        """Whether each of its frames goes out just after a SYNC."""
+        """Whether all its frames are sent just after a SYNC."""
         return self.each_syncs is not None and self.rate_hz(sync_hz) == sync_hz / self.each_syncs
 
 
@@ -106,8 +106,8 @@ def adc_messages(values: Values) -> list[Message]:
 def node_messages(values: Values, node_id: int, *, sampled: bool, heartbeat_s: float = 0.0) -> list[Message]:
     """TPDOs, heartbeat and EMCY of a node; ``heartbeat_s`` if it has none of its own, 0.0: none.
 
-    ``sampled``: each sample is an event for its TPDOs of type FEh and FFh, and of type 0 the same. TPDOs
-    on remote frames alone have the rate 0, as nobody is known to ask.
+    ``sampled``: each sample is an event for its TPDOs of types 0, FEh and FFh. TPDOs that are sent on remote
+    frames only have the rate 0.
     """
     found = [_tpdo(values, pdo, node_id, sampled) for pdo in valid_pdos(values.get, od.TPDO, od.TPDO_MAPPING)]
     period_s = values.get(HEARTBEAT, 0) * TIMER_S or heartbeat_s
@@ -164,8 +164,8 @@ _HALVINGS = 60
 class BusLoad:
     """The frames of a bus of ``bit_rate`` bit/s with a SYNC of ``sync_hz``.
 
-    ``extra_load`` is the part of the time that frames of other nodes take, 0..1, each up to 8 bytes long,
-    at any time. Every frame counts with the most stuff bits that there can be.
+    ``extra_load`` is the bus load of other nodes, 0..1, by frames of up to 8 bytes at any time. Every frame
+    counts with the most stuff bits.
     """
 
     bit_rate: int
@@ -175,7 +175,7 @@ class BusLoad:
 
     @cached_property
     def load(self) -> float:
-        """Part of the time for which the bus is busy, above 1.0 if it cannot carry the frames."""
+        """Bus load, above 1.0 if the bus cannot transmit all frames."""
         return self.load_at(self.sync_hz)
 
     def load_at(self, sync_hz: float) -> float:
@@ -184,7 +184,7 @@ class BusLoad:
     @cached_property
     def largest_sync_hz(self) -> float:
         """The SYNC rate at which the load is 1.0; 0.0 if other frames alone fill the bus."""
-        low, high = 0.0, float(self.bit_rate)  # no frame is shorter than a bit
+        low, high = 0.0, float(self.bit_rate)  # upper bound: a frame has more than one bit
         if self.load_at(low) >= 1.0:
             return 0.0
         for _ in range(_HALVINGS):
@@ -194,13 +194,13 @@ class BusLoad:
 
     @cached_property
     def longest_turn_s(self) -> float:
-        """From a SYNC until all frames that follow it are through."""
+        """Time from a SYNC until all frames that follow it are transmitted."""
         bits = sum(message.bits for message in self.messages if message.follows_sync(self.sync_hz))
         return (bits + self._free_bits()) / self.bit_rate
 
     @cached_property
     def sync_delay_s(self) -> float:
-        """Longest wait of a SYNC: the longest frame on the wire when it is due."""
+        """Longest wait of a SYNC: for the longest frame that may be on the wire."""
         late = self.longest_turn_s * self.sync_hz > 1.0
         longest = max((message.bits for message in self.messages), default=0) if late else self._free_bits()
         return longest / self.bit_rate
@@ -217,8 +217,8 @@ class BusLoad:
 
 
 def in_order(messages: Iterable[Message]) -> tuple[Message, ...]:
-    """Each CAN-ID once, by priority."""
-    found = {message.can_id: message for message in reversed([*messages])}  # the first of each
+    """The first message of each CAN-ID, by priority."""
+    found = {message.can_id: message for message in reversed([*messages])}  # reversed: the first one wins
     return tuple(sorted(found.values(), key=lambda one: one.can_id))
 
 
@@ -231,10 +231,10 @@ def _of_samples(values: Values) -> list[Pdo]:
 
 
 def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
-    """The objects of the RPDOs with ``pairs`` 1..8 pairs of each SYNC, and the time of the newest or not.
+    """Objects of RPDOs for ``pairs``, 1..8 per SYNC, with the time of the newest if ``times``.
 
-    What else they bring stays. RPDOs of the same interface come first, then free ones. ValueError if there
-    are too few.
+    Other mapped objects are kept. RPDOs of the same interface are used first, then free ones. ValueError if
+    there are too few.
     """
     pdos = _of_samples(values)
     tracks = next((pdo for pdo in pdos if set(MODULE_PAIRS[0]) <= set(pdo.entries)), None)
@@ -246,7 +246,7 @@ def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
     entries += [TIME] if times else []
     known = {TIME}.union(*MODULE_PAIRS)
     entries += [entry for pdo in own for entry in pdo.entries if entry not in known]
-    mapped = mapping_values(0, entries)  # by the place of the PDO among ``numbers``
+    mapped = mapping_values(0, entries)  # keys: index of the PDO in ``numbers``, sub-index
     in_use = {pdo.number for pdo in valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)}
     cob_ids = {n: (od.RPDO + n - 1, 1) for n in range(1, len(cob.TPDOS) + 1)}
     free = [n for n, place in cob_ids.items() if n not in in_use and place in values]
@@ -267,7 +267,7 @@ class PlannedModule:
     node_id           1..127
     values            its objects, as a master would write them
     has_table         a correction table is in force
-    samples_itself    a source in place of the ADC PDO
+    samples_itself    it has a source instead of the ADC PDO
     """
 
     node_id: int
@@ -281,7 +281,7 @@ class PlannedModule:
 
     @property
     def coast_samples(self) -> int:
-        """2010:03, in intervals from sample to sample."""
+        """2010:03 in sampling intervals."""
         return self.settings.coast_samples * self.samples_per_sync
 
     @cached_property
@@ -300,13 +300,13 @@ class PlannedModule:
         return replace(self, values={**self.values, **values})
 
     def with_times(self) -> PlannedModule:
-        """``times: true``. ValueError without room in the RPDOs."""
+        """The module with ``times: true``. ValueError without room in the RPDOs."""
         if self.times:
             return self
         return self.with_values(laid_out(self.values, self.samples_per_sync, times=True))
 
     def with_samples(self, per_sync: int) -> PlannedModule:
-        """``samples_per_sync``, 1..8. ValueError without room in the RPDOs."""
+        """The module with ``samples_per_sync``, 1..8. ValueError without room in the RPDOs."""
         if self.samples_itself or per_sync == self.samples_per_sync:
             return self
         return self.with_values(laid_out(self.values, per_sync, self.times))
