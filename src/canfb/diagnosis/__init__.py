@@ -1,1 +1,1 @@
-"""What is wrong on a bus: nodes, frames in words, why a position is lost."""
+"""Diagnosis of a bus: nodes, frames in words, why a position is lost."""

@@ -1,5 +1,5 @@
-"""Why a position is lost (2012:10..16), what brings it back, what would have kept it; a status word (2011:01)
-in words."""
+"""Why a position is lost (2012:10..16), how to restore it, how to avoid the loss; a status word (2011:01) in
+words."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MEANINGS = {
     StatusBit.EXTRAPOLATED: "position extrapolated to its SYNC (2013h)",
     StatusBit.SECOND_POSITION: "the other sensor disagrees",
 }
-# At most one of them is set in the word of one sample.
+# Of these, a status word of one sample has at most one.
 APART = (StatusBit.VALID, StatusBit.COASTING, StatusBit.LOST)
 
 
@@ -56,7 +56,7 @@ def decoded(word: int) -> Result:
     return Result(as_figures(rows), as_lines(rows))
 
 
-RATE_S = 2.0  # over which the rate of the samples is measured: 1 Hz or more
+RATE_S = 2.0  # time over which the sample rate is measured, for 1 Hz or more
 BAD_SIGNAL = StatusBit.AMPLITUDE | StatusBit.CLIPPED
 BAD_SIGNAL_ADVICE = "a signal within 2001:03 to 2001:04: watch it with canfb monitor, check the wiring"
 MOTION = (LossCause.CONTRADICTED, LossCause.JUMP, LossCause.UNDECIDED)
@@ -64,7 +64,7 @@ NOT_DECLARED = (
     "2010:02 is 0, not declared: set it to the largest acceleration of the machine, rad/s², "
     "so that only motions that it can do are considered"
 )
-# What would have kept it, by cause: with sample times, without, in both cases.
+# What would have avoided the loss: causes; True: with sample times, False: without, None: both; advice.
 ADVICE: tuple[tuple[tuple[LossCause, ...], bool | None, str], ...] = (
     (
         (LossCause.TIME,),
@@ -89,19 +89,19 @@ ADVICE: tuple[tuple[tuple[LossCause, ...], bool | None, str], ...] = (
         "wiring and scale of coarse track and zero pulse: one contradicted the count (2010:05)",
     ),
 )
-SAME = 0.9  # a limit of now is that of then: measured noise narrows it a little (2010:09)
+SAME = 0.9  # ratio of limits, then / now, above which they count as equal: noise narrows them (2010:09)
 
 
 @dataclass(frozen=True)
 class Loss:
-    """2012:10..16, in units of people."""
+    """2012:10..16 in SI units and cycles."""
 
     cause: LossCause
     since_s: float
     bad_samples: int
     residual_cycles: float
     limit_cycles: float
-    speed_cycles: float | None  # None: standstill was assumed, so whole cycles per interval are open
+    speed_cycles: float | None  # None: unknown modulo one cycle per interval, as standstill was assumed
     faults: int
 
 
@@ -110,8 +110,8 @@ class LostPosition:
     """The position of a module and its last loss.
 
     losses, missed, missed_syncs  2012:05, :01 and :0E
-    sample_hz               now; 0.0: none
-    coarse, zero_pulse, second   mapped in its RPDOs
+    sample_hz               present sample rate; 0.0: no samples
+    coarse, zero_pulse, second   whether mapped in its RPDOs
     """
 
     node_id: int
@@ -220,7 +220,7 @@ class LostPosition:
         return f"{cycles:.3g} cycles per interval, {rpm:.3g} rpm"
 
     def brings_back(self) -> list[str]:
-        if not self.status & StatusBit.LOST:  # a reset would not help
+        if not self.status & StatusBit.LOST:  # not lost: a reset would not help
             return []
         return [
             f"stand still, then canfb node reset {self.node_id:#04x}: the count begins at 0; reference the "
@@ -289,7 +289,7 @@ class LostPosition:
         return f"{known}or a faster SYNC bridges more" if largest else NOT_DECLARED
 
     def longest_gap(self) -> int | None:
-        """Missed samples over which 2010:02 leaves one motion, or None."""
+        """Missed samples after which 2010:02 leaves one possible motion; None: unknown."""
         if not (self.limits.acceleration_rad_s2 and self.sample_hz):
             return None
         n, interval_s = self.limits.cycles_per_revolution, 1.0 / self.sample_hz
@@ -321,7 +321,7 @@ class LostPosition:
 
 
 def read_lost_position(module: NodeAccess) -> LostPosition:
-    """By SDO, in two seconds. CommissioningError."""
+    """Read by SDO, within two seconds. CommissioningError."""
     master = module.master
     missed = int(module.read_known(od.COUNTER_MISSED) or 0)
     with saying(CommissioningError, "not a feedback module, give the NODE of one", ObjectAbsentError):

@@ -1,7 +1,7 @@
-"""Who is on a bus: the nodes that answer 1000h, or send a heartbeat; CANopen frames in words.
+"""Nodes on a bus, which answer 1000h or send a heartbeat; CANopen frames in words.
 
-The NMT state is that of the heartbeat, or asked for by a remote frame unless a master may be guarding the
-node (100Ch), whose toggle bit that would upset.
+The NMT state is read from the heartbeat, or requested by a remote frame. It is not requested if a master may
+be guarding the node (100Ch), because the answer would disturb the toggle bit.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import Reading, described_by
 from canfb.view.module_view import Pdo, Read, valid_pdos
 
-EVERY = 16  # requests at once: adapters have short queues
+EVERY = 16  # requests sent without a pause: adapters have short queues
 PAUSE_S = 0.005
 DEVICE_NAME = (0x1008, 0)
-STATE_S = 0.05  # for the answer to a remote frame
+STATE_S = 0.05  # time for the answer to a remote frame
 REQUEST = struct.pack("<BHB4x", 0x40, *od.DEVICE_TYPE)
 
 
 @dataclass(frozen=True)
 class FoundNode:
-    """None: not known."""
+    """A node on the bus; None: not known."""
 
     node: int
     state: str | None
@@ -71,7 +71,7 @@ class FoundNode:
 
 
 def scan(master: Master, listen_s: float) -> list[FoundNode]:
-    """Within ``listen_s``. CanfbError if the bus fails."""
+    """Nodes found within ``listen_s``. CanfbError if the bus fails."""
     answers: set[int] = set()
     states: dict[int, NmtState | None] = {}
 
@@ -113,7 +113,7 @@ def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
 
 
 def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> dict[str, Any]:
-    """The readable objects of a node whose EDS is ``known``, by number; else why not."""
+    """The readable objects of a node whose EDS is ``known``, by number, or the reason for failure."""
     node = NodeAccess(master, node_id, "node")
     objects: dict[str, Any] = {}
     facts: dict[str, Any] = {"node_id": node_id}
@@ -121,7 +121,7 @@ def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> dict[str,
         described = described_by(node, known, "1000")
         facts |= {"product": described.product, "objects": objects}
         _read_all(node, described, objects)
-    except CanfbError as error:  # none of ours, or node or bus do not answer any more
+    except CanfbError as error:  # an unknown node, or node or bus no longer answer
         facts["error"] = str(error)
     return facts
 
@@ -155,7 +155,7 @@ FIXED = {
     0x7E5: ("lss", None, "LSS, master"),
     0x7E4: ("lss", None, "LSS, slave"),
 }
-# And the first bytes behind which the object stands: segments have their data there (CiA 301, 7.2.4.3).
+# Words, and the command bytes that index and sub-index follow; in segments data follows (CiA 301, 7.2.4.3).
 SDO = {
     cob.SDO_REQUEST: ("SDO request", "to", {*range(0x20, 0x30), 0x40, 0x80}),
     cob.SDO_RESPONSE: ("SDO response", "of", {*range(0x40, 0x50), 0x60, 0x80}),
@@ -165,11 +165,11 @@ STATES: dict[int | None, str] = {int(one): one.name.replace("_", "-") for one in
 
 
 class DecodedFrame(NamedTuple):
-    """A frame and what it says.
+    """A frame and its meaning.
 
     kind     tpdo, rpdo, sync, nmt, emcy, heartbeat, sdo request, sdo response, time, lss, ""
     node     None: not known
-    values   of a PDO, by object (6004:00)
+    values   values of a PDO, by object (6004:00)
     """
 
     frame: Frame
@@ -183,7 +183,7 @@ class DecodedFrame(NamedTuple):
         return self.kind in ("tpdo", "rpdo")
 
     def line(self, time_s: float) -> str:
-        """As candump has it, and the words."""
+        """The format of candump, with the meaning."""
         data = "remote request" if self.frame.rtr else self.frame.data.hex(" ").upper()
         head = f"({time_s:.6f})  {self.frame.can_id:03X}  [{len(self.frame.data)}]"
         return f"{head}  {data:<23}  {self.text}".rstrip()
@@ -202,7 +202,7 @@ class DecodedFrame(NamedTuple):
 
 
 class FrameWords:
-    """With PDOs of the modules that it has learned."""
+    """Decodes frames, and PDOs of modules that it has learned."""
 
     def __init__(self, described: ObjectDescriptions) -> None:
         self._described = described
@@ -217,7 +217,7 @@ class FrameWords:
                     self._pdos.setdefault(pdo.can_id, (f"{name}{pdo.number}", node, pdo))
 
     def decode(self, frame: Frame) -> DecodedFrame:
-        """What a frame is; never raises."""
+        """Meaning of a frame; never raises."""
         known = self._pdos.get(frame.can_id)
         if known is not None and not frame.rtr:
             return self._decoded(frame, *known)
