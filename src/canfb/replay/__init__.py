@@ -1,1 +1,1 @@
-"""Recorded frames through the same module: what it publishes, which faults, with which margins; no clock."""
+"""Recorded frames processed by the same module: what it publishes, faults, margins; without a clock."""

@@ -1,6 +1,6 @@
-"""What is found in the samples of a replay, block by block: faults, margins, drift, an overview for pictures.
+"""Evaluation of the samples of a replay, block by block: faults, margins, drift, an overview for pictures.
 
-Each ``take`` keeps a bounded amount.
+Each ``take`` uses bounded memory.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ BLOCK_ROWS = 1 << 12
 
 Block = npt.NDArray[np.void]  # A structured array: a column by its name, ``block["status"]``.
 
-# One row for each sampling interval, also for one without a sample (status bit 6), and the types.
+# Columns and types of the rows: one for each sampling interval, also without a sample (status bit 6).
 #
 # time_s             stamp of the log, seconds
 # position           6004h
-# sine_counts, ...   ADC counts as they came; those of before for a sample that was missed
-# interval_s         the sampling interval, 0.0 while it is not known
+# sine_counts, ...   ADC counts as received; the previous ones for a missed sample
+# interval_s         the sampling interval, 0.0 while unknown
 # amplitude_counts to samples   the fields of :class:`canfb.signal.sample.Feedback`
 # residual_limit to cycles_per_revolution   the limits in force
 COLUMNS: dict[str, Any] = {
@@ -65,10 +65,10 @@ _LARGEST_COUNT = (1 << 63) - 1  # 2011:04 is INTEGER64 as well
 
 
 class SampleColumns:
-    """Collects what ``module`` makes of each sample, and gives full blocks to ``takers``.
+    """Collects the results of ``module`` for each sample, and passes full blocks to ``takers``.
 
-    With several samples for each SYNC a row is the newest. The ones before it come in blocks of their own to
-    ``earlier_takers``: with the stages of the feedback, and time, position and counts of the newest.
+    With several samples for each SYNC a row is the newest. The earlier ones are passed to ``earlier_takers``
+    in separate blocks: with the stages of the feedback, but time, position and counts of the newest.
     ``origin_s`` is added to the times of the module. Call :meth:`flush` at the end.
     """
 
@@ -118,7 +118,7 @@ def _stages(feedback: Feedback) -> tuple[Any, ...]:
     return (*stages[:_CYCLES], cycles, *stages[_CYCLES + 1 :])
 
 
-# Kinds of faults, and the bit of the status word that shows each.
+# Kinds of faults, and their bits of the status word.
 KINDS = {
     "missed": od.StatusBit.MISSED,
     "residual": od.StatusBit.RESIDUAL,
@@ -135,7 +135,7 @@ MOST_LISTED = 1000  # Of each kind; all are counted.
 
 @dataclass
 class LoggedFault:
-    """When it began (stamp, seconds), and how many intervals it lasted."""
+    """A fault: its beginning (stamp, seconds), and duration in intervals."""
 
     kind: str
     begin_s: float
@@ -147,7 +147,7 @@ class FaultList:
     """All faults of a replay.
 
     samples   intervals with this fault, by kind
-    times     how often it began
+    times     number of faults, by kind
     listed    the first :data:`MOST_LISTED` of each kind
     """
 
@@ -177,10 +177,10 @@ BEGIN_SAMPLES = 64
 
 
 class Extreme(NamedTuple):
-    """The value that came nearest to its limit: when (stamp of the log, seconds), and the limit then.
+    """The value nearest to its limit, with the limit and time (stamp of the log, seconds) of that sample.
 
-    ``margin`` is the part of the limit that was left, 1 - value/limit (limit/value for a lower limit);
-    below 0 it was passed. NaN before there was any value.
+    ``margin`` is 1 - value/limit (1 - limit/value for a lower limit); below 0 the limit was exceeded. NaN
+    before the first value.
     """
 
     value: float = math.nan
@@ -190,13 +190,13 @@ class Extreme(NamedTuple):
 
 
 class Margins:
-    """Of all samples that came, also of those before the newest of a SYNC: an :class:`Extreme` for each of
+    """Margins of all received samples, also earlier ones of a SYNC: an :class:`Extreme` for each of
 
     residual            cycles, against the residual limit; while the position was followed
     amplitude_low, amplitude_high   counts, after conditioning
-    acceleration_cycles cycles per interval squared, against the residual limit: what eq. 9 leaves of an
-                        acceleration is the residual (eq. 10)
-    speed_rad_s         the largest; its limit is what the SYNC jitter allows, inf with sample times
+    acceleration_cycles cycles per interval squared, against the residual limit: an acceleration gives a
+                        residual of that size (eq. 10)
+    speed_rad_s         the largest; SYNC jitter sets its limit, inf with sample times
     """
 
     def __init__(self, max_speed_rad_s: Callable[[], float]) -> None:
@@ -204,9 +204,9 @@ class Margins:
             ("residual", "amplitude_low", "amplitude_high", "acceleration_cycles", "speed_rad_s"), Extreme()
         )
         self.acceleration_rad_s2 = 0.0  # The largest.
-        # Distance of the first samples, without whole cycles between two of them.
+        # Distance over the first samples, modulo whole cycles between two of them.
         self.begin_cycles = math.nan
-        self._max_speed_rad_s = max_speed_rad_s  # what the jitter allows, as the module knows it
+        self._max_speed_rad_s = max_speed_rad_s  # the limit by jitter, from the module
 
     def take(self, block: Block) -> None:
         status = block["status"]
@@ -214,8 +214,7 @@ class Margins:
         if math.isnan(self.begin_cycles):
             turns = np.diff(block["raw_phase"][:BEGIN_SAMPLES])
             self.begin_cycles = float(np.nansum(np.abs((turns + 0.5) % 1.0 - 0.5)))
-        # A residual over its limit is coasted over: it counts as well. Samples coasted for another reason
-        # have none.
+        # Samples coasted because of their residual count; those coasted for another reason have none.
         coasted = (status & od.StatusBit.COASTING != 0) & (status & od.StatusBit.RESIDUAL == 0)
         compared = came & (status & od.StatusBit.LOST == 0) & ~coasted & (block["samples"] > 2)
         self._look("residual", block, _where(compared, block["residual"]), block["residual_limit"])
@@ -248,19 +247,19 @@ def _where(chosen: BoolArray, values: npt.NDArray[np.float64]) -> npt.NDArray[np
 
 
 def _units(block: Block) -> tuple[FloatArray, FloatArray]:
-    """Radians in a cycle, seconds in an interval (NaN: not known)."""
+    """Radians per cycle, seconds per interval (NaN: not known)."""
     return 2.0 * np.pi / block["cycles_per_revolution"], _where(
         block["interval_s"] > 0.0, block["interval_s"]
     )
 
 
-MOST_MEASURED = 1 << 15  # So many samples of a log are measured: enough for a table, and of bounded time.
+MOST_MEASURED = 1 << 15  # Samples of a log that are used for the drift: sufficient for a table.
 LEAST_SAMPLES = 1000
 
 
 @dataclass(frozen=True)
 class LogDrift:
-    """Cycles, without the constant part; NaN and a ``reason`` where the log does not show it."""
+    """Drift in cycles, without its constant part; NaN and a ``reason`` if the log does not show it."""
 
     rms: float = math.nan
     peak: float = math.nan
@@ -269,7 +268,7 @@ class LogDrift:
 
 
 class DriftTracks:
-    """Keeps the first samples from the first motion on, as they came; give it blocks."""
+    """Keeps the first raw samples after the first motion."""
 
     def __init__(self) -> None:
         self._blocks: list[Block] = []
@@ -288,7 +287,7 @@ class DriftTracks:
         hertz = block["speed_cycles"] / np.where(block["interval_s"] > 0.0, block["interval_s"], np.inf)
         delay_s = active.conditioning.cosine_delay_s
         try:
-            if delay_s:  # the cosine at the instant of the sine
+            if delay_s:  # convert the cosine to the instant of the sine
                 record = recording(sine, cosine, None, None, adc_bits, may_be_offset=True)
                 cosine = sampled_together(record, 2.0 * np.pi * delay_s * hertz)
             fresh = calibrate_from_motion(sine, cosine, active.conditioning, adc_bits=adc_bits)
@@ -305,7 +304,7 @@ STRETCH_ROWS = 16
 MOST_SAMPLES = 16384
 FAULTY = int(np.bitwise_or.reduce([int(bit) for bit in KINDS.values()]))
 
-# What of a stretch is kept: the column, and how.
+# Summary of a stretch: the column, and the function that reduces it.
 _KEPT: dict[str, tuple[str, Any]] = {
     "begin_s": ("time_s", np.minimum),
     "residual": ("residual", np.fmax),
@@ -321,10 +320,10 @@ _KEPT: dict[str, tuple[str, Any]] = {
 
 
 class Overview:
-    """Give it blocks by :meth:`take`.
+    """Summary of all blocks for pictures.
 
     ``stretches``: a column for each of ``_KEPT``, in s, cycles, counts, rad/s and intervals with a fault.
-    ``sine`` and ``cosine``: ADC counts of some samples, evenly chosen.
+    ``sine`` and ``cosine``: ADC counts of samples at even intervals.
     """
 
     def __init__(self) -> None:
@@ -344,7 +343,7 @@ class Overview:
         for name, (column, how) in _KEPT.items():
             reduced = how.reduceat(columns[column].astype(np.float64), begins)
             self.stretches[name] = np.concatenate([self.stretches[name], reduced])
-        while len(self.stretches["begin_s"]) > MOST_STRETCHES:  # two of them each become one
+        while len(self.stretches["begin_s"]) > MOST_STRETCHES:  # join two stretches each
             pairs = np.arange(0, len(self.stretches["begin_s"]), 2)
             for name, (_, how) in _KEPT.items():
                 self.stretches[name] = how.reduceat(self.stretches[name], pairs)

@@ -1,8 +1,8 @@
-"""A module on the frames of a log, in the time of the log.
+"""A module that processes the frames of a log, in the time of the log.
 
-It lives as in the runner: it gets each frame at the time of its stamp, deadlines that are due before it come
-first, and jobs are done between frames. What the recorded module had sent does not come back to it, but is
-compared with what is sent now.
+As in the runner, it receives each frame at the time of its stamp, after deadlines that are due before, and
+jobs are done between frames. It does not receive the frames of the recorded module; they are compared with
+the frames that it sends now.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ LONGEST_DELAY_S = 1.0  # Longest time between a frame and its counterpart, s.
 
 
 class OwnFrames:
-    """Pairs the frames of one CAN-ID, in their order; an equal frame among those that wait is preferred.
+    """Pairs recorded and replayed frames of one CAN-ID, in order; an equal frame that waits is preferred.
 
-    equal, different   pairs
+    equal, different   number of pairs
     only_recorded      frames of the log that the replay did not send
-    only_replayed      the other way round
-    first              of the different ones: when (stamp of the log, seconds), recorded and replayed data
-    uploads            objects that were read, by expedited SDO transfers, with another value
-    differences        what ``fields`` gave for the first pair that is not equal: what the frame is made of
+    only_replayed      frames of the replay that are not in the log
+    first              first different pair: stamp of the log, seconds, recorded and replayed data
+    uploads            objects whose values differ, read by expedited SDO transfers
+    differences        fields of the frame (from ``fields`` at the first different pair), with statistics
     """
 
     def __init__(self, fields: Callable[[], list[FieldDifference]]) -> None:
@@ -97,7 +97,7 @@ def _drop_late(waiting: deque[tuple[float, bytes]], now: float) -> int:
 
 
 def _taken(waiting: deque[tuple[float, bytes]], data: bytes) -> int | None:
-    """Take out the first equal one and those before it; how many there were, None without an equal one."""
+    """Remove the first equal frame and the n before it; returns n, None without an equal frame."""
     for place, (_, other) in enumerate(waiting):
         if other == data:
             for _ in range(place + 1):
@@ -158,15 +158,15 @@ def _usual_wait_s(can_id: int, frames: Sequence[Frame]) -> float:
     return max(0.0, median(waits)) if waits else 0.0
 
 
-ASKED_FRAMES = 500  # behind a clock that was set
-# A longer silence is cut to this: the module has lost everything by then that it can lose.
+ASKED_FRAMES = 500  # frames after a step of the clock that are searched for the usual interval
+# A longer silence is shortened to this: by then the module has lost everything that it can lose.
 LONGEST_GAP_S = 60.0
 
-HEAD_FRAMES = 20_000  # So many frames from the beginning of a log are asked.
+HEAD_FRAMES = 20_000  # Frames at the beginning of a log that are searched for the NMT state.
 
 
 class Begin(Enum):
-    """How a replay begins."""
+    """NMT state at the beginning of a replay."""
 
     AUTO = "auto"
     BOOT_UP = "boot-up"
@@ -175,10 +175,10 @@ class Begin(Enum):
 
 
 def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) -> Begin:
-    """NMT state by the first frame that shows it.
+    """NMT state at the beginning, from the first frame that shows it.
 
-    A boot-up: it is powered on there. A PDO of its own, or a heartbeat with 05h: OPERATIONAL. Another
-    heartbeat, or an NMT start: it was not. None of these: there is no master, so OPERATIONAL.
+    A boot-up: power-on at that frame. A PDO of its own, or a heartbeat with 05h: OPERATIONAL. Another
+    heartbeat, or an NMT start: PRE-OPERATIONAL. None of these: OPERATIONAL, as there is no master.
     """
     error_control = cob.ERROR_CONTROL + node_id
     pdos = {can_id for can_id in own_can_ids if 0x180 < can_id < 0x580}
@@ -194,17 +194,17 @@ def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) 
     return Begin.OPERATIONAL
 
 
-POLL_S = 0.01  # from one look at the computations to the next, as the runner has it
+POLL_S = 0.01  # interval of polling computations, as in the runner
 EVERYBODY = frozenset({0x000, 0x100, 0x7E4, 0x7E5})  # NMT, TIME, LSS
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
 class ModuleReplay:
-    """One module of a log. :meth:`feed` it the frames, in any pieces, and :meth:`close` it.
+    """One module of a log. :meth:`feed` it the frames in batches, then :meth:`close` it.
 
-    ``correction`` is put in force at each start in place of what is stored. ``begin`` says in which NMT
-    state the log begins; AUTO finds it in the first frames. ``takers`` get the samples in blocks,
-    ``sent`` each frame that the module sends, its stamp on the clock of the log.
+    ``correction`` is put in force at each start instead of the stored one. ``begin`` is the NMT state at
+    the beginning; AUTO finds it in the first frames. ``takers`` get the samples in blocks, ``sent`` each
+    frame that the module sends, with a stamp on the clock of the log.
     """
 
     def __init__(
@@ -240,7 +240,7 @@ class ModuleReplay:
 
     @property
     def compared(self) -> dict[int, OwnFrames]:
-        """By CAN-ID; empty if the log has no frame of the module."""
+        """Comparison by CAN-ID; empty if the log has no frame of the module."""
         return dict(sorted(self._own_frames.items())) if self.recorded_own else {}
 
     @property
@@ -254,7 +254,7 @@ class ModuleReplay:
         return int(self._emergency.value & cob.CAN_ID)
 
     def feed(self, frames: list[Frame]) -> None:
-        """The next frames of the log: ``timestamp`` in seconds, of any clock. No frame raises."""
+        """Process the next frames of the log: ``timestamp`` in seconds, of any clock. No frame raises."""
         if self._head is None:
             self._take(frames)
         else:
@@ -285,7 +285,7 @@ class ModuleReplay:
         self._power_on(self._now)
         if self.begin is Begin.OPERATIONAL and node_id != UNCONFIGURED:
             self._command(NmtCommand.START, self._now)
-        self._own_frames.clear()  # nothing in the log is the counterpart of what it has sent now
+        self._own_frames.clear()  # frames of this start have no counterpart in the log
         self._look_round()
         return head
 
@@ -298,7 +298,7 @@ class ModuleReplay:
         self._give_out(self.module.receive(frame, now), now)
 
     def _take(self, batch: list[Frame]) -> None:
-        """The hot path: a frame that the module does not receive costs next to nothing."""
+        """Pass frames to the module. Called for each frame: one that it does not receive must be cheap."""
         samples, module = self.samples, self.module
         receive, deadline = module.receive, module.deadline
         now, origin = self._now, samples.origin_s
@@ -336,9 +336,9 @@ class ModuleReplay:
         self.last_s = now + origin
 
     def _judged(self, frame: Frame, batch: list[Frame], now: float) -> float:
-        """When a frame came of which ``now <= stamp - origin_s <= now + LONGEST_GAP_S`` does not hold.
+        """Time of a frame unless ``now <= stamp - origin_s <= now + LONGEST_GAP_S``.
 
-        A step back is a clock that was set: the reader puts late frames in their places.
+        At a step back the clock was set, because the reader sorts late frames.
         """
         stamp_s = math.nan if frame.timestamp is None else frame.timestamp
         if not math.isfinite(stamp_s):
@@ -346,8 +346,8 @@ class ModuleReplay:
             return now
         if stamp_s - self.samples.origin_s < now:
             self.steps_back += 1
-            # Unseen, as much time has passed as usually before this CAN-ID: without it an interval would be
-            # shorter than it was, and a fast machine valid and wrong by a cycle.
+            # Assume that the usual time before this CAN-ID has passed: with a shorter interval the position
+            # of a fast machine could be valid and wrong by a cycle.
             now += _usual_wait_s(frame.can_id, batch[batch.index(frame) :][:ASKED_FRAMES])
         else:
             self.gaps += 1
@@ -356,18 +356,18 @@ class ModuleReplay:
         return now
 
     def _tick(self, now: float) -> None:
-        """What is due before ``now``, each at its time: a frame comes first."""
+        """Do what is due before ``now``, each at its time; at equal time a frame comes first."""
         while (due := self.module.deadline()) is not None and due < now:
             self._give_out(self.module.tick(due), due)
 
     def _compute(self, now: float) -> None:
-        """What the module has to compute is there at once, but not with each frame."""
+        """Run a pending job, which takes no time of the log."""
         job = self.module.pending_job() if self._on else None
         if job is None:
             return
         try:
             result: Outcome | Exception = job()
-        except Exception as error:  # it refuses the measurement
+        except Exception as error:  # the measurement is refused
             result = error
         self._give_out(self.module.finish_job(job, result, now), now)
 
@@ -389,15 +389,15 @@ class ModuleReplay:
         self._pairs(can_id).recorded(data, now, now + self.samples.origin_s)
 
     def _booted_up(self, now: float) -> None:
-        """The module of the log has booted up; if nobody has reset it, it was switched off and on."""
+        """The recorded module has booted up; if no reset was commanded, it was switched off and on."""
         if not self._on:
             self._power_on(now)
         elif now - self._boot_up_s > LONGEST_DELAY_S:
             self._tick(now)
             self.restarts += 1
             self._command(NmtCommand.RESET_NODE, now)
-            self.module.chain.restart()  # power-on: it knows nothing of the machine
-        self._boot_up_s = -LONGEST_DELAY_S  # that of the replayed module has its counterpart
+            self.module.chain.restart()  # power-on: the position is unknown
+        self._boot_up_s = -LONGEST_DELAY_S  # the boot-up of the replayed module has its counterpart
 
     def _pairs(self, can_id: int) -> OwnFrames:
         if can_id not in self._own_frames:
@@ -412,7 +412,7 @@ class ModuleReplay:
             if can_id == self.emergency_id:
                 self.emergencies += 1
             elif data == cob.BOOT_UP and can_id > cob.ERROR_CONTROL:
-                self._boot_up_s = now  # the replayed module has started: with the table that is to be tried
+                self._boot_up_s = now  # the replayed module has started: activate the table to be tested
                 if self._correction is not None:
                     self.module.use_correction(self._correction)
             if self._on_sent is not None:

@@ -1,4 +1,4 @@
-"""What a replay found, as rows: for people, for programs (:mod:`canfb.rows`)."""
+"""Result of a replay as rows, for text and JSON (:mod:`canfb.rows`)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from canfb.rows import Row, as_figures, as_lines, finite, those
 from canfb.signal.limits import RPM
 
 SHOWN_FAULTS = 10
-MOVES_CYCLES = 0.1  # of the first samples: more than noise
-# Of each margin: name, unit, factor to it, format.
+MOVES_CYCLES = 0.1  # distance over the first samples that is more than noise
+# For each margin: name, unit, factor that converts to it, format.
 MARGINS = {
     "residual": ("residual", "cycles", 1.0, ".4f"),
     "amplitude_low": ("lowest amplitude", "counts", 1.0, ".0f"),
@@ -31,10 +31,10 @@ COUNTED = {
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """One module of a log. Times are stamps of the log in figures, seconds from its beginning in words.
+    """One module of a log. Times in JSON are stamps of the log, in text seconds from its beginning.
 
     drift      None if it was not measured
-    left_out   frames of this module on channels of the log that were not taken
+    left_out   frames of this module on channels of the log that were not selected
     """
 
     replay: ModuleReplay
@@ -62,7 +62,7 @@ class ReplayResult:
         return [self.head(), *as_lines(rows)]
 
     def notes(self) -> list[str]:
-        """Why the replay may be another one than the recorded module, not for a fault of either."""
+        """Reasons, other than errors, why the replay may differ from the recorded module."""
         replay, compared, module = self.replay, self.replay.compared, self.replay.module
         changed = ", ".join(sorted({name for one in compared.values() for name in one.uploads}))
         more = replay.emergencies - sum(
