@@ -1,1 +1,1 @@
-"""What the replay of bus logs gives: one log or a folder of them, and files."""
+"""Replay of a bus log, or a folder of them, and files of the results."""

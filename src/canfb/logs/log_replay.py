@@ -1,8 +1,7 @@
-"""A bus log through its modules, or through others, and files of what that gives; all logs of a folder as one
-table, which a second run completes, on the processors of this machine: one log does not end the work on
-others.
+"""Replay of a bus log with its modules or other ones, and files of the results; all logs of a folder as one
+table, which a second run completes, on all processors of this machine. A failing log does not end the others.
 
-What outgrows it needs an ``executor``, such as ``dask.distributed.Client(address).get_executor()``, whose
+For larger tasks pass an ``executor``, such as ``dask.distributed.Client(address).get_executor()``, whose
 workers see the logs under the same names.
 """
 
@@ -75,7 +74,7 @@ def _csv(path: Path) -> Iterator[Take]:
 
 @contextlib.contextmanager
 def _npz(path: Path) -> Iterator[Take]:
-    """All blocks are in the memory until the end."""
+    """Writer of NPZ; keeps all blocks in memory until the end."""
     blocks: list[Block] = []
     yield blocks.append
     columns: dict[str, Any] = {
@@ -90,7 +89,7 @@ WRITERS = {".csv": _csv, ".npz": _npz, ".parquet": _parquet}
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], types: Mapping[str, type]) -> None:
-    """One table from rows; ``types`` are the columns: str, int, float or bool, each may be None."""
+    """Write rows as one table; ``types`` of the columns: str, int, float or bool; values may be None."""
     arrow, parquet = _pyarrow()
     kinds = {str: arrow.string(), int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_()}
     schema = arrow.schema([(name, kinds[kind]) for name, kind in types.items()])
@@ -102,10 +101,9 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], types: Mapping[str
 
 @contextlib.contextmanager
 def published(path: Path) -> Iterator[Take]:
-    """What takes the blocks of samples; the file is there when it is whole.
+    """A function that writes blocks of samples; the file appears when it is complete.
 
-    ConfigError for a name or a place that cannot be; CanfbError when it cannot be written, or for Parquet
-    without pyarrow.
+    ConfigError for an invalid name or folder; CanfbError if writing fails, or for Parquet without pyarrow.
     """
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
@@ -185,12 +183,12 @@ def _pictures(replay: ModuleReplay, overview: Overview) -> list[str]:
 class ReplayOptions:
     """How a log is replayed.
 
-    modules      the modules; none with a source of its own
-    correction   table and conditioning in place of what is saved
-    state_dir    where `save` (1010h) has kept parameters of the module, read and never written
+    modules      the modules; none with its own source
+    correction   table and conditioning instead of saved ones
+    state_dir    folder with parameters saved by `save` (1010h), read-only
     begin        the NMT state at the beginning of the log
-    channel      of the log; None: all of them, as one bus
-    drift        whether to measure how far the encoders have moved away from their tables: takes seconds
+    channel      channel of the log; None: all of them, as one bus
+    drift        whether to measure the drift of the encoders from their tables; takes seconds
     """
 
     modules: tuple[ModuleConfig, ...]
@@ -219,10 +217,10 @@ def replay_log(
     sent: Callable[[Frame], None] | None = None,
     progress: Callable[[float], None] = lambda part: None,
 ) -> tuple[BusLogFile, list[ReplayResult]]:
-    """Read it once, for all modules. ``progress`` gets the part that is done, 0..1.
+    """Read a log once, for all modules. ``progress`` gets 0..1.
 
     ``takers`` and ``sent`` get the samples and the frames of the modules, see ModuleReplay. LogError for
-    a log without a frame, or that cannot be read.
+    a log without frames, or an unreadable one.
     """
     log = BusLogFile(path, settings.channel)
     tracks = [DriftTracks() for _ in settings.modules]
@@ -253,7 +251,7 @@ def replay_log(
 
 
 def _store(module: ModuleConfig, state_dir: Path | None) -> MemoryStore | None:
-    """What was saved, in the memory: the log may hold a `save`, and the folder stays unchanged."""
+    """Saved parameters, copied to memory: the log may contain a `save`, which must not change the folder."""
     if state_dir is None and module.state_dir is None:
         return None
     store = MemoryStore()
@@ -273,9 +271,9 @@ MARGINS = {
     "speed_rad_s": "speed_rad_s",
 }
 
-# The columns. A column named as a kind of fault counts intervals, ``..._times`` how often it began;
-# ``..._margin`` is the part of the limit that was left. ``left_out``: frames of the module on other channels
-# of the log than the chosen one. ``error`` says why there is nothing else.
+# Columns of the table. A column named as a kind of fault counts its intervals, ``..._times`` its occurrences;
+# ``..._margin`` is as in :class:`.Extreme`. ``left_out``: frames of the module on channels of the log that
+# were not selected. ``error``: why the other columns are empty.
 COLUMNS: dict[str, type] = {
     "log": str,
     "module": int,
@@ -311,7 +309,7 @@ LogRow = dict[str, Any]
 
 @dataclass(frozen=True)
 class LogJob:
-    """A log to do: its name within the folder, where it is, and what its result is the result of."""
+    """A log to replay: its name within the folder, path, size, and fingerprint of all input."""
 
     name: str
     path: Path
@@ -320,9 +318,9 @@ class LogJob:
 
 
 def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
-    """The job for a log. OSError if it has gone.
+    """The job for a log. OSError if it does not exist any more.
 
-    Fingerprint: size and time of change, settings, what is saved in state_dir, columns, version of canfb.
+    Fingerprint of: size and modification time, settings, files in state_dir, columns, version of canfb.
     """
     status, used, words = path.stat(), settings.correction, repr(replace(settings, correction=None))
     saved = [
@@ -336,10 +334,10 @@ def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
 
 
 def rows_of(job: LogJob, settings: ReplayOptions) -> list[LogRow]:
-    """Its rows, also of a damaged log."""
+    """The rows of a log, even if it is damaged."""
     try:
         log, results = replay_log(job.path, settings)
-    except Exception as error:  # one log must not cost the others
+    except Exception as error:  # one log must not end the others
         kind = "" if isinstance(error, CanfbError) else f"{type(error).__name__}: "
         return failed_rows(job, settings, f"{kind}{reason(error)}")
     return [_row(job, log, one.figures()) for one in results]
@@ -380,10 +378,9 @@ def _row(job: LogJob, log: BusLogFile, figures: dict[str, Any]) -> LogRow:
 
 
 def work_of(folder: Path, settings: ReplayOptions, out: Path | None) -> tuple[list[LogJob], list[LogRow]]:
-    """The logs below ``folder`` that are to do, and the rows of the table ``out`` of the others.
+    """The logs below ``folder`` that remain, and the rows of the others in the table ``out``.
 
-    ConfigError for what can be no table; CanfbError for a folder without logs, and for a table that cannot be
-    read.
+    ConfigError for an impossible table; CanfbError for a folder without logs, or an unreadable table.
     """
     if out is not None:
         if out.suffix.lower() != ".parquet":
@@ -408,10 +405,11 @@ def do_work(
     executor: Executor | None = None,
     progress: Callable[[float], None] = lambda part: None,
 ) -> list[LogRow]:
-    """Do the logs, write the table, and give all its rows, by log and module; None: no table is written.
+    """Replay the logs, write the table ``out`` (None: no table), and return its rows, by log and module.
 
-    In ``workers`` processes, None: one for each processor, 1: this one; or on ``executor``. A log whose
-    process is killed is done once more. Interrupted, the table has what is done. CanfbError if a file fails.
+    Runs in ``workers`` processes (None: one for each processor, 1: this one), or on ``executor``. A log
+    whose process is killed is replayed once more. After an interruption the table contains finished logs.
+    CanfbError if a file fails.
     """
     rows = list(done)
     total, ready = sum(job.size for job in jobs) or 1, 0
@@ -432,7 +430,7 @@ def _table(out: Path) -> list[LogRow]:
     if not out.exists():
         return []
     said = f"--out {out}: is there already, and is no table"
-    with saying(CanfbError, said, OSError, ValueError):  # pyarrow's errors are of these kinds
+    with saying(CanfbError, said, OSError, ValueError):  # pyarrow's errors are subclasses of these
         rows: list[LogRow] = _pyarrow()[1].read_table(str(out)).to_pylist()
     if rows and not COLUMNS.keys() <= rows[0].keys():
         raise CanfbError(f"{said} of logs; take another name")
@@ -462,7 +460,7 @@ def _done(
 def _on(
     executor: Executor, jobs: deque[LogJob], settings: ReplayOptions, number: int
 ) -> Generator[tuple[LogJob, list[LogRow]], None, list[LogJob]]:
-    """Takes ``jobs``, ``number`` at a time, until a process is killed; returns those in work then."""
+    """Run ``jobs``, ``number`` at a time, until a process is killed; returns the unfinished ones."""
     running: dict[Future[list[LogRow]], LogJob] = {}
     while jobs or running:
         while jobs and len(running) < number:
