@@ -1,1 +1,1 @@
-"""What a module is, by its objects, from ``read(place)``: SDO, an EDS, or a live dictionary. Pure."""
+"""Properties of a module by its objects, given ``read(place)``: by SDO, EDS or live dictionary. Pure."""

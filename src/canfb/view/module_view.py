@@ -1,5 +1,5 @@
 """The PDOs of a node (CiA 301, 7.5.2.36 to 7.5.2.40), the layout of a sample in them, and the limits of
-the motion in force, by 2010h and the SYNC rate."""
+the motion in force, from 2010h and the SYNC rate."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from canfb.signal.sample import TICK_S
 from canfb.signal.supervision import SampleLimits
 
 Number = int | float
-Read = Callable[[od.Multiplexer], Number | None]  # Gives the value of an object, None where it is not known.
+Read = Callable[[od.Multiplexer], Number | None]  # Returns the value of an object, None: not known.
 
 
 def values_of(find: Callable[[int, int], Any]) -> Read:
-    """By the entries of a dictionary."""
+    """A `Read` of the entries of a dictionary."""
 
     def read(place: od.Multiplexer) -> Number | None:
         entry = find(*place)
@@ -39,7 +39,7 @@ def values_of(find: Callable[[int, int], Any]) -> Read:
     return read
 
 
-MOST_ENTRIES = 64  # above, sub-index 0 of a mapping stands for a multiplexed PDO
+MOST_ENTRIES = 64  # larger values in sub-index 0 of a mapping mean a multiplexed PDO
 
 
 def place_of(entry: int) -> od.Multiplexer:
@@ -47,7 +47,7 @@ def place_of(entry: int) -> od.Multiplexer:
 
 
 class Pdo(NamedTuple):
-    """Valid; ``number`` from 1, ``entries`` as in 1600h."""
+    """A valid PDO; ``number`` from 1, ``entries`` as in 1600h."""
 
     number: int
     can_id: int
@@ -90,7 +90,7 @@ def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
 
 
 Pair = tuple[int, int]  # mapping entries of a sine and its cosine
-# Those of a sample, and of the earlier ones in the same interval, newest first.
+# The pairs of the newest sample and of the earlier ones in an interval, newest first.
 INTERFACE_PAIRS = tuple(
     (sine.mapped(16), cosine.mapped(16))
     for sine, cosine in ((od.INTERFACE_SINE, od.INTERFACE_COSINE), *od.INTERFACE_EARLIER)
@@ -104,9 +104,9 @@ SAMPLE_TIMES = (od.INTERFACE_SAMPLE_TIME.mapped(32), od.SAMPLE_TIME.mapped(32))
 
 @dataclass(frozen=True)
 class PdoLayout:
-    """Where both tracks, ``coarse``, ``earlier`` pairs (newest first) and the sample time are.
+    """Location of both tracks, ``coarse``, ``earlier`` pairs (newest first) and sample time in PDOs.
 
-    ``time_byte`` is None where the time is elsewhere (``timed_by``) or nowhere.
+    ``time_byte`` None: the time is in another PDO (``timed_by``) or missing.
     """
 
     can_id: int
@@ -120,11 +120,11 @@ class PdoLayout:
 
     @property
     def sender(self) -> int | None:
-        """By the predefined connection set, or None."""
+        """Node-ID by the predefined connection set, or None."""
         return (self.can_id & 0x7F or None) if self.can_id & 0x780 in cob.TPDOS else None
 
     def unpack(self, data: bytes) -> tuple[int, int] | None:
-        """Sine and cosine, counts, or None."""
+        """Sine and cosine, counts; None: too short."""
         if len(data) < max(self.sine_byte, self.cosine_byte) + 2:
             return None
         return (
@@ -133,7 +133,7 @@ class PdoLayout:
         )
 
     def sample_time(self, data: bytes) -> int | None:
-        """100 ns, modulo 2^32, or None."""
+        """Sample time, 100 ns, modulo 2^32, or None."""
         begin = self.time_byte
         if begin is None or len(data) < begin + 4:
             return None
@@ -141,7 +141,7 @@ class PdoLayout:
 
 
 def module_layout(read: Read) -> PdoLayout | None:
-    """Where a module takes its samples from, or None."""
+    """Layout of the samples that a module receives, or None."""
     return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_PAIRS)
 
 
@@ -155,7 +155,7 @@ def coarse_layout(read: Read) -> PdoLayout | None:
 
 
 def interface_layout(read: Read) -> PdoLayout | None:
-    """Where an encoder interface sends both tracks, or None."""
+    """Layout of the samples that an encoder interface sends, or None."""
     return _layout(read, od.TPDO, od.TPDO_MAPPING, INTERFACE_PAIRS)
 
 
@@ -197,7 +197,7 @@ LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 
 @dataclass(frozen=True)
 class LimitSettings:
-    """What the limits depend on; 0: not set, or not known.
+    """Settings that determine the limits; 0: not set, or not known.
 
     widest_cycles      2010:01
     doubt_acceleration 2010:0B, cycles per interval^2
@@ -229,20 +229,20 @@ class LimitSettings:
         noise_cycles: float | None = None,
         velocity_rad_s: float | None = None,
     ) -> float:
-        """The limit in force; 2010:01 where nothing narrows it or no interval is known.
+        """The residual limit in force; 2010:01 if nothing narrows it or the interval is unknown.
 
-        ``sync_hz`` None: by 1006h. ``noise_cycles`` is 2011:0B, None: not read.
+        ``sync_hz`` None: use 1006h. ``noise_cycles`` is 2011:0B, None: not read.
         """
         sync_s = 1.0 / sync_hz if sync_hz else self.cycle_period_s
         interval_s = sync_s / self.samples_per_sync
         limit = self.bounds(interval_s, noise_cycles).residual_limit
         if self.timed and velocity_rad_s:
             cycles_per_s = abs(velocity_rad_s) * self.cycles_per_revolution / (2.0 * math.pi)
-            limit += 4.0 * cycles_per_s * (TICK_S / 2.0)  # all phases off by half a tick
+            limit += 4.0 * cycles_per_s * (TICK_S / 2.0)  # all sample times wrong by half a tick
         return min(limit, self.widest_cycles)
 
     def needed_cycles(self, sync_hz: float) -> float:
-        """The least 2010:01 that good samples keep, by 2010:02 and 2010:0C (0 Hz: 2010:0C)."""
+        """The least 2010:01 that good samples meet, with 2010:02 (not at 0 Hz) and 2010:0C."""
         interval_s = 1.0 / (sync_hz * self.samples_per_sync) if sync_hz else 0.0
         expected = cycles_per_interval_squared(
             self.acceleration_rad_s2, self.cycles_per_revolution, interval_s
@@ -250,7 +250,7 @@ class LimitSettings:
         return expected + 4.0 * self.phase_error_cycles
 
     def bounds(self, interval_s: float, noise_cycles: float | None = None) -> Declared:
-        """At this interval from sample to sample; 0.0: not known."""
+        """Declared limits at this sampling interval; 0.0: not known."""
         n, widest = self.cycles_per_revolution, self.widest_cycles
         largest = self.acceleration_rad_s2 if interval_s else 0.0
         margin = (
@@ -272,9 +272,9 @@ class LimitSettings:
         )
 
     def chain_limits(self, interval_s: float, noise_cycles: float | None = None) -> ChainLimits:
-        """Those of :meth:`bounds`, and of a sample."""
+        """The limits of :meth:`bounds`, and the limits of single samples."""
         return ChainLimits(
-            **vars(self.bounds(interval_s, noise_cycles)),  # its fields: nothing is computed yet
+            **vars(self.bounds(interval_s, noise_cycles)),  # only fields: no cached property is computed yet
             sample=self.sample,
             cycles_per_revolution=self.cycles_per_revolution,
             frozen_samples=self.frozen_samples,
@@ -284,9 +284,9 @@ class LimitSettings:
 
 
 def samples_per_sync(mapped: Sequence[Collection[int]]) -> int:
-    """Pairs of sine and cosine for each SYNC, 1..8, by what each RPDO maps.
+    """Pairs of sine and cosine for each SYNC, 1..8, from the mapping of each RPDO.
 
-    They count up to the first that no RPDO brings, as the module counts them.
+    As in the module, the count ends at the first pair that no RPDO contains.
     """
     found = itertools.takewhile(lambda pair: any(set(pair).issubset(one) for one in mapped), MODULE_PAIRS[1:])
     return 1 + sum(1 for _ in found)
