@@ -1,1 +1,1 @@
-"""SVG and HTML that stand alone, in light, dark and print."""
+"""Self-contained SVG and HTML, for light and dark screens and for print."""

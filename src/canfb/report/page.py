@@ -1,4 +1,4 @@
-"""HTML pages and SVG files that stand alone, and their CSS."""
+"""Self-contained HTML pages and SVG files, and their CSS."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ footer { color: var(--soft); font-size: .87em; margin: 2em 0; }
 def page(title: str, place: str, said: Sequence[str], body: str, footer: str, good: bool = True) -> str:
     """The whole page; all but ``body`` (HTML) is plain text.
 
-    place    when, where
-    said     the verdict, its first line in bold, each as a sentence; ``good``: its tone
+    place    time and place
+    said     sentences of the verdict, the first in bold; ``good``: whether it is positive
     """
     first, *others = map(_sentence, said)
     return as_utf8(
@@ -139,7 +139,7 @@ def section(one: Section) -> str:
 
 
 def table(title: str, rows: Iterable[Row], heads: Sequence[str] = (), style: str = "") -> str:
-    """The rows that have words, below ``heads``; ``style`` "listed": much text."""
+    """Table of the rows that have words, below ``heads``; ``style`` "listed": for long texts."""
     top = "".join(f"<th>{escape(head)}</th>" for head in heads)
     body = "".join(
         f"<tr><th>{escape(row.name)}</th>{_cells(heads, row.words)}</tr>\n" for row in rows if row.words

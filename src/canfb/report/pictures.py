@@ -36,7 +36,7 @@ def remaining_error(after: FloatArray, uncertainty: float) -> str:
 
 
 def rms_over_speed(speed: FloatArray, before: FloatArray, after: FloatArray, unit: str) -> str:
-    """Shape (n,); NaN where the position was lost."""
+    """Rms errors, shape (n,); NaN: position lost."""
     values = np.concatenate([before, after])
     values = values[np.isfinite(values) & (values > 0.0)] if np.any(values > 0.0) else np.array([1e-4])
     extent = _decades(PERCENT * float(values.min()), 1.01 * PERCENT * float(values.max()))
@@ -44,7 +44,7 @@ def rms_over_speed(speed: FloatArray, before: FloatArray, after: FloatArray, uni
 
 
 def mean_over_speed(speed: FloatArray, before: FloatArray, after: FloatArray, unit: str) -> str:
-    """Shape (n,); NaN: not known."""
+    """Mean errors, shape (n,); NaN: not known."""
     most = PERCENT * nice_limit(np.concatenate([before, after]), 1e-5)
     return _over_speed("Mean error", (-most, most), speed, (before, after), unit)
 
@@ -93,7 +93,7 @@ def _amplitudes(curve: FloatArray) -> FloatArray:
         return np.zeros(BINS // 2 + 1)
     place = np.arange(BINS)
     filled = np.interp(place, place[known], curve[known], period=BINS)
-    # A mean over a bin flattens the higher ones a little: undone.
+    # The mean over a bin attenuates higher orders slightly: correct for it.
     spectrum = np.abs(np.fft.rfft(filled)) / BINS * 2.0
     return np.asarray(spectrum / np.sinc(np.arange(len(spectrum)) / BINS), np.float64)
 
@@ -103,9 +103,9 @@ SIGMAS = 5.0
 
 
 def histogram(error: FloatArray, rms: float, noise_cycles: float) -> str:
-    """Deviation of single samples, shape (n,), with what noise alone would give; ``rms``: corrected."""
+    """Deviation of single samples, shape (n,), and the distribution of noise alone; ``rms``: corrected."""
     span = SIGMAS * max(rms, noise_cycles, 1e-9)
-    # A cubic through each block takes some of the noise with it: the same factor as in the rms.
+    # The cubic in each block removes some noise: apply the same correction as in the rms.
     error = error * (rms / max(root_mean(error), 1e-15))
     count, middle, width = _counted(error, HISTOGRAM_BINS, (-span, span))
     sigma = max(noise_cycles, 1e-12)
@@ -136,7 +136,7 @@ def residual_histogram(residual: FloatArray, before: float, new: float) -> str:
 def _counted(
     values: FloatArray, bins: int, extent: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Values, middles, width."""
+    """Counts, centres and width of bins."""
     count, edges = np.histogram(values, bins, extent)
     middle = np.asarray((edges[:-1] + edges[1:]) / 2.0, np.float64)
     return count.astype(np.float64), middle, float(edges[1] - edges[0])
@@ -178,9 +178,9 @@ def amplitude_over_phase(over_phase: FloatArray, low: float, high: float) -> str
 
 
 SHOWN_SAMPLES = 4000
-DENSITY_CELLS = (300, 150, 60)  # to the side of the picture; the first that makes no more dots than that
+DENSITY_CELLS = (300, 150, 60)  # cells per side; the first number with few enough dots is used
 SHADES, FAINTEST = 5, 0.3
-SQUARE = 394.0 + LEFT + RIGHT, 394.0 + TOP + BOTTOM  # within the axes: a circle is drawn as one
+SQUARE = 394.0 + LEFT + RIGHT, 394.0 + TOP + BOTTOM  # square within the axes, so that circles stay round
 
 
 def lissajous(
@@ -213,7 +213,7 @@ def square_plot(title: str, most_counts: float) -> Plot:
 
 
 def cloud(plot: Plot, x: FloatArray, y: FloatArray, style: str, name: str) -> Plot:
-    """Each sample as a dot, or, of many, one for each small cell: darker for more."""
+    """A dot for each sample, or for many samples one for each small cell: the more the darker."""
     if len(x) <= SHOWN_SAMPLES:
         return plot.dots(x, y, style, name)
     for cells in DENSITY_CELLS:
@@ -242,7 +242,7 @@ def _cell(values: FloatArray, scale: Scale, cells: int) -> IntArray:
     return np.clip((part * cells).astype(np.int64), 0, cells - 1)
 
 
-MOST_POINTS = 600  # of a curve over time: each is the lowest and the highest value of a stretch
+MOST_POINTS = 600  # points of a curve over time: the lowest and the highest value of a stretch each
 
 
 def acceleration_over_time(acceleration: FloatArray, interval_s: float, largest: float) -> str:
@@ -262,11 +262,11 @@ def acceleration_over_time(acceleration: FloatArray, interval_s: float, largest:
     return plot.svg()
 
 
-ROOM = 0.06  # of the height, above and below what is drawn
+ROOM = 0.06  # margin above and below the curves, part of the height
 
 
 class Curve(NamedTuple):
-    """NaN: no value."""
+    """A curve; NaN: no value."""
 
     values: FloatArray
     style: str
@@ -276,7 +276,7 @@ class Curve(NamedTuple):
 def over_time(
     title: str, label: str, time_s: FloatArray, curves: Sequence[Curve], least: float | None = None
 ) -> str:
-    """``time_s`` in seconds; from ``least`` on."""
+    """Curves over ``time_s``, seconds; the axis includes ``least``."""
     values = np.concatenate([curve.values for curve in curves])
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)

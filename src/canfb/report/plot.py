@@ -16,7 +16,7 @@ RING_RADIUS = 6.0
 
 
 class Key(NamedTuple):
-    """``kind``: "line", "dot", "bar" or "ring"."""
+    """An entry of the legend; ``kind``: "line", "dot", "bar" or "ring"."""
 
     name: str
     style: str
@@ -24,7 +24,7 @@ class Key(NamedTuple):
 
 
 class Plot:
-    """One picture; what draws returns it. ``style``: a CSS class, ``name``: in the legend."""
+    """One picture; drawing methods return it. ``style``: a CSS class, ``name``: in the legend."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class Plot:
         self._parts: list[str] = []
 
     def line(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> Self:
-        """Broken where a value is not a number."""
+        """A line, interrupted at NaN."""
         path, pen = [], "M"
         for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
             if math.isfinite(other):
@@ -62,7 +62,7 @@ class Plot:
         name: str | None = None,
         opacity: float | None = None,
     ) -> Self:
-        """One path keeps the page small."""
+        """Dots, as one path, which keeps the page small."""
         path = "".join(
             f"M{self.x(one):.1f} {self.y(other):.1f}h0"
             for one, other in zip(xs.tolist(), ys.tolist(), strict=True)
@@ -71,7 +71,7 @@ class Plot:
         return self._draw(f'<path class="dots {style}"{faint} d="{path}"/>', style, name, "dot")
 
     def bars(self, xs: FloatArray, ys: FloatArray, width: float, style: str, name: str | None = None) -> Self:
-        """``width`` in units of x."""
+        """Bars, ``width`` in units of x."""
         bottom = self.y(self.y.low)
         parts = []
         for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
@@ -94,7 +94,7 @@ class Plot:
         return self._draw(circles, style, name, "ring")
 
     def note(self, x: float, y: float, words: str, style: str, offset: tuple[float, float]) -> Self:
-        """``offset`` right and down; style "end": they end there."""
+        """Words at ``offset`` (right, down) from a point; style "end": right-aligned."""
         self._parts.append(_text(self.x(x) + offset[0], self.y(y) + offset[1], f"note {style}", words))
         return self
 
@@ -152,11 +152,11 @@ def _text(x: float, y: float, style: str, words: str) -> str:
 
 
 TICK_COUNT = 5
-FEWER = 0.8  # of a step: rather seven ticks than three
+FEWER = 0.8  # a step may be this part of the ideal one: rather seven ticks than three
 
 
 class Scale:
-    """Linear or logarithmic."""
+    """A linear or logarithmic axis."""
 
     def __init__(self, low: float, high: float, start: float, stop: float, log: bool = False) -> None:
         if not high > low:
@@ -165,7 +165,7 @@ class Scale:
         self._start, self._stop = start, stop
 
     def __call__(self, value: float) -> float:
-        """Held within a margin."""
+        """Place of ``value`` in the picture, limited to a margin around the axis."""
         if self.log:
             part = math.log10(max(value, self.low) / self.low) / math.log10(self.high / self.low)
         else:
