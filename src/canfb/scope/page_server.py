@@ -1,7 +1,7 @@
 """The server of the page: files and one stream of server-sent events, for this computer alone.
 
-What is shown needs the **token**, new with each start. It stands in the fragment of the address, which is in
-no request and no Referer. No cookie would do: browsers send those of 127.0.0.1 to each of its ports.
+Data requires the **token**, new at each start. It is in the fragment of the address, which browsers put in no
+request and no Referer. A cookie would not be safe: browsers send cookies of 127.0.0.1 to all of its ports.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
 from canfb.scope.traces import Curve, ModuleTraces
 
 LOOPBACK = "127.0.0.1"
-HTTP_PORT = 80  # browsers leave it out
+HTTP_PORT = 80  # browsers omit it in Host and Origin
 TOKEN_BYTES = 32
 STREAM = "/events"
 MOST_CONNECTIONS = 32
-MOST_WAITING = 64  # events that a page has not taken: it is cut off, and connects again
-IDLE_S = 10.0  # for a request to come, and for a peer to take what is sent
+MOST_WAITING = 64  # waiting events of a page; with more it is disconnected, and connects again
+IDLE_S = 10.0  # time-out for a request, and for a peer to receive data
 OPEN_ADDRESS = "open the address that canfb has printed at its last start, with all that follows the #"
 
-# What is served to anybody: nothing secret is in it.
+# Files served without token: they contain nothing secret.
 FILES = {
     "/": ("page.html", "text/html"),
     "/page.js": ("page.js", "text/javascript"),
@@ -44,7 +44,7 @@ FILES = {
     "/uPlot.css": ("uPlot.min.css", "text/css"),
 }
 
-# Of every response.
+# Headers of every response.
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -61,17 +61,17 @@ Events = queue.Queue[Event | None]
 
 
 def event(name: str, data: str) -> Event:
-    """Of the stream (server-sent events); ``data`` is one line."""
+    """An event of the stream (server-sent events); ``data`` is one line."""
     return f"event: {name}\ndata: {data}\n\n".encode()
 
 
-class PageServer(ThreadingTCPServer):  # that of http.server would look up a host name
-    """Serves at ``port`` of 127.0.0.1 (0: any free one); CanfbError for one that is taken.
+class PageServer(ThreadingTCPServer):  # not HTTPServer, which looks up a host name
+    """Serves at ``port`` of 127.0.0.1 (0: any free port); CanfbError if it is in use.
 
-    A page gets the event ``first()``, then those of :meth:`publish`.
+    A page gets the event ``first()``, then each event given to :meth:`publish`.
     """
 
-    daemon_threads = True  # and so the end waits for none of them
+    daemon_threads = True  # the program does not wait for them at its end
 
     def __init__(self, port: int, first: Callable[[], Event]) -> None:
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
@@ -105,7 +105,7 @@ class PageServer(ThreadingTCPServer):  # that of http.server would look up a hos
         return bool(self._viewers)
 
     def publish(self, one: Event) -> None:
-        """Send it to each page."""
+        """Send an event to each page."""
         with self._lock:
             for viewer in self._viewers:
                 try:
@@ -115,7 +115,7 @@ class PageServer(ThreadingTCPServer):  # that of http.server would look up a hos
 
     @contextlib.contextmanager
     def viewer(self) -> Iterator[Events]:
-        """What one page gets; None: the end."""
+        """Queue of events for one page; None: the end."""
         events: Events = queue.Queue(MOST_WAITING)
         with self._lock:
             events.put_nowait(self._first())
@@ -127,7 +127,7 @@ class PageServer(ThreadingTCPServer):  # that of http.server would look up a hos
                 self._viewers.remove(events)
 
     def refusal(self, hosts: list[str], origin: str | None, path: str, token: str) -> str:
-        """Why a request is not served, or "". No name made to point here gets an answer."""
+        """Why a request is refused, or "". Other host names (DNS rebinding) are refused."""
         known = path != STREAM or hmac.compare_digest(token.encode(), self.token.encode())
         refusals = (
             (hosts != [self.host], f"another host name than {self.host}"),
@@ -149,7 +149,7 @@ class PageServer(ThreadingTCPServer):  # that of http.server would look up a hos
             self._places.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A peer that has gone is no error."""
+        """Ignore a peer that has disconnected."""
 
 
 def _end(viewer: Events) -> None:
@@ -197,7 +197,7 @@ class _Handler(BaseHTTPRequestHandler):
         super().end_headers()
 
     def log_message(self, format: str, *arguments: object) -> None:
-        """Nothing: a token could be in it."""
+        """No log: it could contain the token."""
 
 
 class LivePage:
@@ -227,7 +227,7 @@ class LivePage:
         self.server.publish(look)
 
     def first(self) -> Event:
-        """Units, points and deviations until now, the last look."""
+        """Units, points and deviations so far, and the last snapshot."""
         with self._lock:
             past = {node: list(traces.points) for node, traces in self._traces.items()}
             units = {"position": self._units.name, "velocity": self._units.speed_name}

@@ -1,4 +1,4 @@
-"""What the pictures of one module are drawn from: snapshots in, plain values out, bounded."""
+"""Data for the pictures of one module: from snapshots to plain values, bounded."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from canfb.signal.phase import FloatArray
 
 LONGEST_S = 120.0
 MOST_POINTS = 1200
-SAMPLES = 4096  # of which the deviation is computed
+SAMPLES = 4096  # most recent samples used for the deviation
 LEAST_SAMPLES = 512
 BLOCK_SAMPLES = 32
-GAP_SAMPLES = 100  # more than what can be followed
+GAP_SAMPLES = 100  # missed samples inserted at a gap, more than can be bridged
 EVERY_S = 2.0
 PERCENT = 100.0
 MOST_DOTS = 600
-SHOWN = (PositionState.VALID, None)  # positions and velocities with these states are drawn
+SHOWN = (PositionState.VALID, None)  # states in which positions and velocities are drawn
 NOTHING = np.zeros(0)
 # Time (s), position, velocity (units of the machine), residual and its limit (cycles), amplitude
 # after and before conditioning (counts), new faults, 1 while the position is not valid.
@@ -36,18 +36,18 @@ Point = tuple[float | None, ...]
 # Deviation of the last samples from smooth motion, % of a cycle, over the phase (0..1), for JSON.
 #
 # phase, deviation       single samples
-# centers, before, mean  means over the phase, without any table and with that of the module
-# text                   rms with and without, or why there is nothing to see
+# centers, before, mean  means over the phase, without a table and with the table of the module
+# text                   rms with and without table, or why there is no curve
 Curve = dict[str, Any]
 
 
 class ModuleTraces:
-    """One module: its last minutes."""
+    """The last minutes of one module."""
 
     def __init__(self, units: MachineUnits) -> None:
         self.points: deque[Point] = deque(maxlen=MOST_POINTS)
         self.correction: Correction | None = None  # The active one; None while it is not known.
-        self.read: Correction | None = None  # The one that was read last.
+        self.read: Correction | None = None  # The correction read last.
         self._units = units
         self._samples: deque[tuple[int, int, int]] = deque(maxlen=SAMPLES)
         self._received = self._place = self._faults = 0
@@ -64,7 +64,7 @@ class ModuleTraces:
         self._follow(module)
 
     def _judge(self, module: ModuleSnapshot) -> None:
-        """It counts while 2020:04 and status bit 7 agree."""
+        """Use the correction read last while 2020:04 and status bit 7 agree with it."""
         read, before = self.read, self.correction
         active = None if module.status is None else module.table_active
         if read and read.crc32 == module.table_crc32 and active in (None, bool(read.crc32)):
@@ -104,7 +104,7 @@ class ModuleTraces:
             self._samples.append((self._place, sine, cosine))
 
     def deviation(self, now: float, full_scale_counts: int) -> Curve | None:
-        """None while the last is not EVERY_S old."""
+        """The deviation; None if the last one is less than EVERY_S old."""
         if now < self._due_s:
             return None
         self._due_s = now + EVERY_S
