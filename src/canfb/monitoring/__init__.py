@@ -1,1 +1,1 @@
-"""Modules as a bus shows them: frames and times in, snapshots out."""
+"""Observation of modules on a bus: frames and times in, snapshots out."""

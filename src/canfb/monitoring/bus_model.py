@@ -1,6 +1,7 @@
 """A bus and its nodes: frames and times in, a snapshot out; memory is bounded.
 
-The NMT state is that of heartbeat or boot-up, else of the last NMT command, or OPERATIONAL while PDOs come.
+The NMT state is from heartbeat or boot-up, else from the last NMT command, or OPERATIONAL while PDOs are
+received.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from canfb.monitoring.module_model import LoadMeter, ModuleModel, SyncMeter
 from canfb.monitoring.snapshot import BusSnapshot, EmergencySnapshot, NodeSnapshot
 from canfb.view.module_view import Pdo
 
-EMERGENCIES = 8  # that are remembered
-IN_FLIGHT_S = 0.1  # so long after a command PDOs may come that had waited for the bus
-CAUSE_BYTE = 2  # of the five of EMCY 7300h: as 2012:10, 0 while it is not lost
+EMERGENCIES = 8  # number of EMCY that are remembered
+IN_FLIGHT_S = 0.1  # after an NMT command, PDOs that have waited for the bus may arrive for this long
+CAUSE_BYTE = 2  # index in the five bytes of EMCY 7300h: cause as in 2012:10, 0: not lost
 HEARD_STATES = {int(state): state for state in NmtState}
 COMMANDED = {
     NmtCommand.START: NmtState.OPERATIONAL,
@@ -47,7 +48,7 @@ class NodeModel:
         self._emergency_count = 0
 
     def error_control(self, data: bytes) -> None:
-        """Boot-up, heartbeat, guarding (CiA 301, 7.2.8.3.2)."""
+        """Evaluate boot-up, heartbeat, guarding (CiA 301, 7.2.8.3.2)."""
         state = HEARD_STATES.get(data[0] & 0x7F) if len(data) == 1 else None
         if state is NmtState.INITIALISING:
             self._boot_ups += 1
@@ -64,7 +65,7 @@ class NodeModel:
             self._state, self._source = NmtState.OPERATIONAL, "PDO"
 
     def emergency(self, data: bytes, now: float) -> None:
-        """An EMCY, if it is one."""
+        """Evaluate an EMCY, if it has 8 bytes."""
         if len(data) == EMERGENCY.size:
             code, register, detail = EMERGENCY.unpack(data)
             self._emergencies.append((now, code, register, detail))
@@ -91,14 +92,14 @@ class NodeModel:
 
 
 SENT = (cob.EMERGENCY, *cob.TPDOS, cob.SDO_RESPONSE, cob.ERROR_CONTROL)
-BACK_S = 1.0  # a time that is so much earlier is of another clock
+BACK_S = 1.0  # if a time is earlier by this, the clock was set
 Take = Callable[[bytes, float], None]
 
 
 class BusModel:
-    """Takes each frame of a bus; none raises.
+    """Processes each frame of a bus; no frame raises an exception.
 
-    ``layouts``: of known modules. ``bit_rate`` in bit/s. ``only_known``: recognises and shows no others.
+    ``layouts`` of known modules. ``bit_rate`` in bit/s. ``only_known``: do not recognise other modules.
     """
 
     def __init__(
@@ -129,7 +130,7 @@ class BusModel:
         return node.module
 
     def receive(self, frame: Frame, now: float) -> None:
-        """Flagged as :func:`.flagged_id` has it; one that is not of CANopen counts for the load alone."""
+        """A frame, flagged as by :func:`.flagged_id`; if not CANopen, it only counts for the load."""
         can_id, data = frame.can_id, frame.data
         if can_id & ERROR:
             self._error_frames += 1
@@ -147,7 +148,7 @@ class BusModel:
         self._by_function(can_id, data, now)
 
     def snapshot(self, now: float | None = None) -> BusSnapshot:
-        """By default at the last frame."""
+        """State of the bus at ``now``, by default the time of the last frame."""
         now = max(self._now or 0.0, self._now or 0.0 if now is None else now)
         shown = [
             node for _, node in sorted(self._nodes.items()) if node.module is not None or not self._only_known
@@ -162,7 +163,7 @@ class BusModel:
         )
 
     def _at(self, now: float) -> float:
-        """Time does not go back; a set clock begins all measurements again."""
+        """Monotonic time; after a step of the clock all measurements restart."""
         if self._now is not None and now < self._now:
             if now < self._now - BACK_S:
                 self._restart()
@@ -197,7 +198,7 @@ class BusModel:
                 self._routes.setdefault(pdo.can_id, []).append(partial(_sent, node, module, pdo))
 
     def _by_function(self, can_id: int, data: bytes, now: float) -> None:
-        """By the predefined connection set (CiA 301, 7.3.5)."""
+        """Evaluate a frame by the predefined connection set (CiA 301, 7.3.5)."""
         if can_id == cob.NMT:
             for node in self._nodes.values():
                 if len(data) == 2 and data[1] in (0, node.node_id):

@@ -1,4 +1,4 @@
-"""What the PDOs of a module carry, and what its values mean."""
+"""Contents of the PDOs of a module, and scaling of its values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from canfb.view.module_view import LimitSettings, Number, Pdo, Read, limit_setti
 if TYPE_CHECKING:
     from canfb.signal.correction import Correction
 
-# The objects of a module that are looked at, and their types as struct has them.
+# The objects of a module that are observed, and their types, as in struct.
 VALUES: dict[od.Multiplexer, str] = {
     od.POSITION_VALUE: "I",
     od.FEEDBACK_STATUS: "H",
@@ -32,10 +32,10 @@ VALUES: dict[od.Multiplexer, str] = {
     **dict.fromkeys(od.COUNTERS, "I"),
 }
 
-# The same, of the PDOs that it receives.
+# The same for the PDOs that it receives.
 INPUTS: dict[od.Multiplexer, str] = {od.SAMPLE_SINE: "h", od.SAMPLE_COSINE: "h"}
 
-# Values of a snapshot that depend on settings of the module: assumed unless all of these were read.
+# Values of a snapshot, and the settings on which they depend: assumed unless all of these were read.
 NEEDED: dict[str, tuple[od.Multiplexer, ...]] = {
     "position_revolutions": (od.OPERATING_PARAMETERS, od.UNITS_PER_REVOLUTION),
     "velocity_rad_s": (od.OPERATING_PARAMETERS, od.UNITS_PER_REVOLUTION, od.TOTAL_RANGE),
@@ -51,7 +51,7 @@ NEEDED: dict[str, tuple[od.Multiplexer, ...]] = {
 
 
 class Origin(StrEnum):
-    """How a layout is known; saved values take precedence over a configuration."""
+    """Origin of a layout; saved values take precedence over a configuration."""
 
     DEFAULT = "EDS"
     CONFIGURATION = "configuration"
@@ -69,11 +69,11 @@ def known_values(pdo: Pdo, data: bytes, kinds: Mapping[od.Multiplexer, str]) -> 
 
 @dataclass(frozen=True)
 class NodeLayout:
-    """What must be known of a module to understand its frames.
+    """Settings of a module required to interpret its frames.
 
-    supervision         its limits, and what they depend on
-    reversed            6004h falls where 2011:07 is positive (6000h)
-    assumed             of :data:`NEEDED`, not read from the module
+    supervision         settings of its limits
+    reversed            6004h decreases while 2011:07 is positive (6000h)
+    assumed             keys of :data:`NEEDED` not read from the module
     """
 
     node_id: int
@@ -91,7 +91,7 @@ class NodeLayout:
 
 @dataclass(frozen=True, eq=False)
 class ModuleReading:
-    """What was read of a module; ``correction`` None: not asked for."""
+    """Values read from a module; ``correction`` None: not read."""
 
     values: Mapping[od.Multiplexer, Number]
     layout: NodeLayout
@@ -99,7 +99,7 @@ class ModuleReading:
 
 
 def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
-    """Of the module ``node_id`` (1..127)."""
+    """Layout of the module ``node_id`` (1..127)."""
 
     def integer(place: od.Multiplexer, default: int) -> int:
         value = read(place)
@@ -135,7 +135,7 @@ def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[od.Multiplex
 
 
 def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]:
-    """Of these nodes (1..127), by default of all configured ones."""
+    """Layouts of these nodes (1..127), by default of all configured ones."""
     return [layout_of(node, read, origin) for node, (read, origin) in known_objects(config, nodes).items()]
 
 
@@ -148,7 +148,7 @@ def assumed_objects(node_id: int) -> Read:
 
 
 def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, tuple[Read, Origin]]:
-    """The same by node-ID, as configured or by default."""
+    """Objects of these nodes by node-ID, as configured or by default."""
     configured = {module.node_id: module for module in config.modules if module.node_id != UNCONFIGURED}
     return {
         node: (_reader(configured[node]), Origin.CONFIGURATION)
@@ -158,14 +158,14 @@ def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, tuple[
     }
 
 
-ALIKE = 16  # PDOs in a row that look like those of a module
+ALIKE = 16  # successive PDOs that must look like those of a module
 POSITION_PDO = struct.Struct("<IHH")
 LARGEST_RESIDUAL = 0x8000
-NO_STATUS = 0xC000  # bits that no status word has
+NO_STATUS = 0xC000  # bits that are never set in a status word
 
 
 class Recognition:
-    """Knows a module by ALIKE TPDO1 in a row with position, status and residual."""
+    """Recognises a module by ``ALIKE`` successive TPDO1 that can be position, status and residual."""
 
     def __init__(self) -> None:
         self._alike: dict[int, int] = {}

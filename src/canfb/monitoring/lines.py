@@ -23,14 +23,14 @@ SPELLING = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\s\d
 
 @dataclass(frozen=True)
 class MachineUnits:
-    """``per_revolution`` of ``name`` are one revolution; by default 1 rev, and min⁻¹."""
+    """Units: one revolution is ``per_revolution`` ``name``; by default 1 rev, and min⁻¹."""
 
     per_revolution: float = 1.0
     name: str = "rev"
 
     @classmethod
     def parse(cls, text: str) -> MachineUnits:
-        """Of ``"5 mm"``, or ValueError."""
+        """Units from ``"5 mm"``, or ValueError."""
         match = SPELLING.fullmatch(text)
         number = float(match[1]) if match else math.nan
         if match is None or not math.isfinite(number) or number == 0.0:
@@ -45,7 +45,7 @@ class MachineUnits:
         return "rpm" if self.name == "rev" else f"{self.name}/s"
 
     def speed(self, rad_s: float) -> float:
-        """Per second, or in rpm."""
+        """Speed in units per second, or in rpm."""
         return rad_s * RPM if self.name == "rev" else rad_s / (2.0 * math.pi) * self.per_revolution
 
     def velocity(self, rad_s: float | None) -> str:
@@ -55,15 +55,15 @@ class MachineUnits:
 
 
 STALE_S = 1.0
-NEAR = 0.8  # of the residual limit: shown as doubtful
+NEAR = 0.8  # part of the residual limit from which a residual is shown as doubtful
 ASSUMED = "assumed"
-Tone = str  # How a text is shown: good, doubtful, bad, faint, or "" as usual.
+Tone = str  # Display of a text: good, doubtful, bad, faint, or "": normal.
 TONES = {PositionState.VALID: "good", PositionState.COASTING: "doubtful"}
 Parts = tuple[tuple[str, Tone], ...]
 
 
 class Line(NamedTuple):
-    """Texts with their tones."""
+    """A line: texts with their tones."""
 
     label: str
     parts: Parts
@@ -179,7 +179,7 @@ def lost_words(node: NodeSnapshot, module: ModuleSnapshot) -> str:
 
 
 def is_stale(module: ModuleSnapshot) -> bool:
-    """Nothing for a second."""
+    """Whether nothing was received for a second."""
     return module.age_s is None or module.age_s > STALE_S
 
 

@@ -1,4 +1,4 @@
-"""A feedback module as its PDOs show it, and meters of a bus. Seconds."""
+"""State of a feedback module from its PDOs, and meters of a bus. Times in seconds."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from canfb.monitoring.snapshot import LoadSnapshot, ModuleSnapshot, SyncSnapshot
 from canfb.timing.syncs import Syncs
 from canfb.view.module_view import LIMIT_UNITS, Number, Pdo
 
-SYNCS = 512  # that are looked at
-LEAST = 4  # SYNCs of a rate; positions of a velocity: of three steps, one is neither first nor last
+SYNCS = 512  # most SYNCs used for the rate
+LEAST = 4  # SYNCs for a rate; positions for a velocity: three steps, of which both extremes are dropped
 OLDEST_S = 2.0
-MISSING_PERIODS = 8.0  # without a SYNC: there is none
+MISSING_PERIODS = 8.0  # after this many periods without a SYNC, there is none
 LEAST_SILENCE_S = 0.1
 SLOT_S = 0.1
 SLOTS = 10
 
 
 class SyncMeter:
-    """Rate and jitter by the straight line through the last good SYNCs."""
+    """Rate and jitter from the straight line through the last good SYNCs."""
 
     def __init__(self) -> None:
         self._syncs = Syncs()
@@ -41,7 +41,7 @@ class SyncMeter:
         self._last_s = time_s
         self._count += 1
         verdict = self._syncs.sync(time_s, True, None)
-        if verdict.doubt:  # another rate or phase
+        if verdict.doubt:  # rate or phase may have changed
             places.clear()
         if self._syncs.grid.period and not verdict.extra:
             places.append((time_s, places[-1][1] + 1 + verdict.lost if places else 0))
@@ -66,12 +66,12 @@ class SyncMeter:
 
 
 def _recent(known: list[tuple[float, int]], now: float, most_s: float) -> list[tuple[float, int]]:
-    # By their time, LEAST of them at least.
+    # Not older than `most_s`, but at least the last LEAST ones.
     return [one for one in known[:-LEAST] if now - one[0] <= most_s] + known[-LEAST:]
 
 
 class Bins:
-    """Values of the last ``count`` intervals of ``width_s``, joined within each."""
+    """One value for each of the last ``count`` intervals of ``width_s``."""
 
     def __init__(self, width_s: float, count: int, join: Callable[[float, float], float]) -> None:
         self.width_s, self._count, self._join = width_s, count, join
@@ -113,18 +113,18 @@ class LoadMeter:
         return LoadSnapshot(frames, bits, self.bit_rate, bits / self.bit_rate if self.bit_rate else None)
 
 
-HISTORY_BIN_S, HISTORY_BINS = 0.5, 120  # a minute
-PEAK_BINS = 3  # of the last second: the open one and two before it
-TRACKS = 400  # pairs of counts that are remembered
-SPEED_S = 0.25  # over which the velocity is measured
-STEP_S = 0.01  # between two positions that are remembered for it
-FRESH_S = 2.0  # a velocity that is older is out of date
+HISTORY_BIN_S, HISTORY_BINS = 0.5, 120  # a minute in total
+PEAK_BINS = 3  # bins of the last second: the open one and two before it
+TRACKS = 400  # number of pairs of counts that are kept
+SPEED_S = 0.25  # time over which the velocity is measured
+STEP_S = 0.01  # shortest time between two positions kept for the velocity
+FRESH_S = 2.0  # an older velocity is not shown
 WORDS = 1 << 32
 LOST = od.COUNTERS[od.COUNTER_LOST]
 
 
 class ModuleModel:
-    """Takes the PDOs of one module; memory is bounded."""
+    """Processes the PDOs of one module; memory is bounded."""
 
     def __init__(self, layout: NodeLayout) -> None:
         self.layout = layout
@@ -140,7 +140,7 @@ class ModuleModel:
         self._fault_s: float | None = None
 
     def sent(self, pdo: Pdo, data: bytes, now: float) -> bool:
-        """False if it is too short."""
+        """Process a TPDO; False: too short."""
         values = known_values(pdo, data, VALUES)
         for place, value in values.items():
             self.put(place, value, now)
@@ -160,7 +160,7 @@ class ModuleModel:
             self._tracks_received += 1
 
     def put(self, place: od.Multiplexer, value: Number, now: float) -> None:
-        """A value of :data:`.VALUES`, by PDO or SDO."""
+        """Store a value of :data:`.VALUES`, from PDO or SDO."""
         self._values[place], self._times[place] = value, now
 
     def _count(self, status: int, now: float) -> None:
@@ -244,7 +244,7 @@ class ModuleModel:
             (((after - before + half) % total - half) / (after_s - before_s), after_s - before_s)
             for (before_s, before), (after_s, after) in pairwise(recent)
         )
-        # A preset is the fastest step one way, and moves nothing.
+        # A preset looks like a very fast step: drop the extreme steps.
         speeds, times_s = zip(*(steps[1:-1] or steps), strict=True)
         return statistics.fmean(speeds, times_s) / per_revolution * 2.0 * math.pi
 

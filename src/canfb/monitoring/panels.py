@@ -1,4 +1,4 @@
-"""A snapshot in a terminal, by rich."""
+"""Display of a snapshot in a terminal, with rich."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
 HEIGHTS, PLAIN_HEIGHTS = "▁▂▃▄▅▆▇█", "_.-:=+*#"
 NO_VALUE = " "
 BRAILLE = 0x2800
-DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # of a character, by row and column
+DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # of a braille character, by row and column
 
 
 def bar(part: float, width: int, *, plain: bool = False) -> str:
@@ -27,7 +27,7 @@ def bar(part: float, width: int, *, plain: bool = False) -> str:
 
 
 def history(values: Sequence[float | None], top: float, width: int, *, plain: bool = False) -> str:
-    """``width`` heights up to ``top``."""
+    """Bar chart of ``width`` characters; full height: ``top``."""
     heights = PLAIN_HEIGHTS if plain else HEIGHTS
     shown = []
     for value in values[-width:]:
@@ -52,19 +52,19 @@ def dots(
 
 
 HEAD_LINES = 3
-PANEL_LINES, HIGHEST_PANEL = 11, 18  # of a module, with its frame
-LEAST_FIGURES, LEAST_TRACKS = 56, 12  # characters
+PANEL_LINES, HIGHEST_PANEL = 11, 18  # usual and largest height of a module, with its frame, lines
+LEAST_FIGURES, LEAST_TRACKS = 56, 12  # least width of figures and of the picture, characters
 LABEL = 10
-LEAST_TABLE = 4  # lines: below, there is no room for notes
+LEAST_TABLE = 4  # lines required for the table before notes get any
 NOT_READ = "scales and limits are assumed where they were not read: --sdo reads them"
 NO_MODULE = "frames come, but none of a module: name it (canfb monitor NODE)"
-BAR = 60  # characters, of the residual: 30 s of it
+BAR = 60  # width of the residual history, characters: 30 s
 STYLES = {"good": "green", "doubtful": "yellow", "bad": "bold red", "faint": "dim", "": ""}
 Modules = Sequence[tuple[NodeSnapshot, ModuleSnapshot]]
 
 
 class Page:
-    """For the size of the console; ``plain``: in ASCII."""
+    """The display, fitted to the console; ``plain``: ASCII only."""
 
     def __init__(
         self, snapshot: BusSnapshot, units: lines.MachineUnits, title: str, *, plain: bool = False
@@ -149,7 +149,7 @@ class Page:
         return self._row(lines.Line("history", (*parts, (said, "faint"))), LABEL)
 
     def _lissajous(self, module: ModuleSnapshot, width: int, height: int) -> Group:
-        """Cosine to the right, sine upwards; the rim is the full scale."""
+        """Cosine to the right, sine upwards; the edge is full scale."""
         points = [(float(cosine), float(sine)) for sine, cosine in module.tracks_counts]
         limit = float(module.full_scale_counts or max(max(map(abs, point)) for point in points))
         drawn = dots(points, limit, width, height, plain=self._plain)

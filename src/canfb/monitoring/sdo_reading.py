@@ -1,7 +1,7 @@
-"""What no PDO carries, read by SDO while somebody looks.
+"""Reading by SDO of values that no PDO carries, while a viewer is connected.
 
-Values every CYCLE_S, mapping, limits and scales every LAYOUT_S; all after a boot-up or a change of status
-bit 7; the table when its CRC or conditioning changes.
+Values are read every CYCLE_S, mapping, limits and scales every LAYOUT_S; all after a boot-up or a change of
+status bit 7; the table when its CRC or conditioning changes.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from canfb.signal.correction import Correction
 from canfb.view.module_view import Number
 
 CYCLE_S, LAYOUT_S = 2.0, 30.0
-QUIET_S = 5.0  # after a node that does not answer
+QUIET_S = 5.0  # pause after a node has not answered
 ANSWER_S = 1.0
 LOOK_S = 0.1
-# What is read every CYCLE_S where no PDO carries it.
+# Objects read every CYCLE_S unless a PDO carries them.
 REPEATED = (
     od.FEEDBACK_STATUS,
     od.FEEDBACK_AMPLITUDE,
@@ -42,7 +42,7 @@ REPEATED = (
 
 
 class ModuleReader:
-    """One module (1..127), ``with_table``."""
+    """Reads one module (1..127), ``with_table`` also its table."""
 
     def __init__(self, node_id: int, *, with_table: bool = False) -> None:
         self.node_id = node_id
@@ -53,11 +53,11 @@ class ModuleReader:
         self._due_s = self._layout_due_s = self._not_before_s = -math.inf
 
     def due(self, now: float, node: NodeSnapshot | None) -> bool:
-        """By what the bus shows of the node."""
+        """Whether to read now, given the state of the node on the bus."""
         return now >= self._not_before_s and (now >= self._due_s or _changes(node) != self._seen)
 
     def read(self, module: NodeAccess, now: float, node: NodeSnapshot | None) -> ModuleReading:
-        """CanfbError: no answer, left alone for QUIET_S."""
+        """Read the module; after CanfbError (no answer) it pauses for QUIET_S."""
         seen = _changes(node)
         self._not_before_s = now + QUIET_S
         if self._layout is None or seen != self._seen or now >= self._layout_due_s:
@@ -95,10 +95,10 @@ def reading_beside(
     wanted: Callable[[], bool],
     failed: Callable[[], None],
 ) -> contextlib.AbstractContextManager[None]:
-    """While this is entered, a thread runs ``readers`` on a branch of ``bus``, while ``wanted``.
+    """During the context a thread runs ``readers`` on a branch of ``bus`` while ``wanted()``.
 
-    ``latest`` gives what the bus shows, ``take`` gets each reading, in this thread. ``failed``: after an
-    error.
+    ``latest`` gives the last snapshot, ``take`` gets each reading, in this thread. ``failed`` is called after
+    an error.
     """
     stopped = threading.Event()
 

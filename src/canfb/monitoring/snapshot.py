@@ -1,4 +1,4 @@
-"""One look at a bus: plain values."""
+"""Snapshot of a bus as plain values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class SyncSnapshot:
-    """The last seconds against the best regular grid; None: too few. ``silent_s``: since the last."""
+    """SYNCs of the last seconds against the best regular grid; None: too few. ``silent_s`` since the last."""
 
     rate_hz: float | None = None
     jitter_rms_s: float | None = None
@@ -20,7 +20,7 @@ class SyncSnapshot:
 
 @dataclass(frozen=True)
 class LoadSnapshot:
-    """The last second, with most stuff bits; ``load`` 0..1 needs a bit rate."""
+    """Traffic of the last second, with most stuff bits; ``load`` 0..1 requires a bit rate."""
 
     frames_per_s: float = 0.0
     bits_per_s: float = 0.0
@@ -30,7 +30,7 @@ class LoadSnapshot:
 
 @dataclass(frozen=True)
 class EmergencySnapshot:
-    """``register`` is 1001h, ``detail`` hexadecimal."""
+    """An EMCY; ``register`` is 1001h, ``detail`` hexadecimal."""
 
     age_s: float
     code: int
@@ -43,15 +43,15 @@ class EmergencySnapshot:
 class ModuleSnapshot:
     """The feedback of a module; None: not received.
 
-    layout                 EDS, configuration, module, assumed
-    age_s                  since its last PDO with a position or a status
+    layout                 origin: EDS, configuration, module, assumed
+    age_s                  time since its last PDO with a position or a status
     table_crc32            2020:04, by SDO; 0: the identity
-    velocity_rad_s         of 2011:07, else from the positions
+    velocity_rad_s         2011:07, else from the positions
     residual_peak_cycles   of the last second; ``history``: of ``history_bin_s`` each, oldest first
     amplitude_counts       2011:05, else before conditioning (``amplitude_is_raw``)
     tracks_counts          the last pairs of the ADC PDO
     seen                   position PDOs with each fault, and losses, counted here
-    counters               2012h, where it is read or mapped
+    counters               2012h, if read or mapped
     assumed                values above whose settings were not read
     """
 
@@ -90,7 +90,7 @@ class NodeSnapshot:
     """A node of the bus.
 
     state_source    heartbeat, boot-up, PDO, command
-    heard_s         since its last frame; None: never
+    heard_s         time since its last frame; None: never
     emergencies     the last ones, newest first; ``emergency_count`` in all
     """
 
@@ -119,7 +119,7 @@ class BusSnapshot:
         return [(node, node.module) for node in self.nodes if node.module is not None]
 
     def to_json(self) -> dict[str, Any]:
-        """No finite number: None."""
+        """Values for JSON; None replaces NaN and infinity."""
         return {name: _plain(value) for name, value in asdict(self).items()}
 
 

@@ -1,4 +1,4 @@
-"""Frames of a bus or of a log: one reader."""
+"""A reader for the frames of a bus or of a log."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from canfb.view.module_view import Read
 
 log = logging.getLogger(__name__)
 
-LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
-LEAST_WAIT_S = 1e-3  # how late a snapshot may be: rounding makes nothing spin
-RECOGNISED_IN = 10_000  # frames
-LONGEST_GAP_S = 10.0  # in a log: a longer pause is passed over
+LONGEST_WAIT_S = 0.1  # longest delay until a signal is noticed
+LEAST_WAIT_S = 1e-3  # tolerance of the time of a snapshot: avoids busy waiting because of rounding
+RECOGNISED_IN = 10_000  # frames at the beginning of a log in which modules are recognised
+LONGEST_GAP_S = 10.0  # a longer pause in a log is skipped
 
 Show = Callable[[BusSnapshot], None]
 
@@ -36,7 +36,7 @@ Show = Callable[[BusSnapshot], None]
 class MessageReader:
     """Reads frames of any kind until :attr:`stopped` is set, or for ``seconds``.
 
-    The log gets a line when an interface goes or comes (:class:`.Reception`). ``clock``, ``wall`` and
+    A line is logged when an interface fails or returns (:class:`.Reception`). ``clock``, ``wall`` and
     ``sleep``: for tests.
     """
 
@@ -53,7 +53,7 @@ class MessageReader:
     def bus(
         self, bus: can.BusABC, due: Callable[[], float] = lambda: float("inf")
     ) -> Iterator[tuple[float, Frame | None]]:
-        """Seconds since the beginning and each frame, None while none comes and at ``due``. BusError."""
+        """Seconds since the beginning and each frame; None: no frame, or ``due``. BusError."""
         times = ReceiveTimes(self.clock, self._wall)
         reception = Reception(bus, log.warning, self.clock, self.sleep)
         began = now = self.clock()
@@ -74,7 +74,7 @@ class MessageReader:
         stamp = 0.0
         log_file = BusLogFile(path, others=True)
         for frame in log_file:
-            stamp = finite(frame.timestamp or stamp) or stamp  # one that is no number: as the last
+            stamp = finite(frame.timestamp or stamp) or stamp  # NaN: keep the last stamp
             began = stamp if began is None else began
             if self.stopped.is_set() or (self._seconds is not None and stamp - began > self._seconds):
                 return
@@ -101,7 +101,7 @@ def recognised(log: Path) -> dict[int, Read]:
 class Watching:
     """Feeds ``model``; ``show`` gets a snapshot ``rate_hz`` times a second.
 
-    :meth:`put` takes what was read by SDO, from any thread.
+    :meth:`put` accepts SDO readings from any thread.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Watching:
                 self._due_s = max(self._due_s + self._interval_s, at)
 
     def log(self, path: Path, speed: float | None = None) -> None:
-        """From a log, in its own time; ``speed`` times as fast, None: as fast as it can be read."""
+        """Feed from a log in its time, ``speed`` times as fast; None: as fast as possible."""
         now, due = 0.0, self._interval_s
         try:
             for now, frame in self._reader.log(path):
@@ -140,7 +140,7 @@ class Watching:
                     self._look(due)
                     due += self._interval_s
                 self._model.receive(frame, now)
-        except LogError:  # cut off: what could be read is shown
+        except LogError:  # truncated: show what was readable
             if now > 0.0:
                 self._look(now)
             raise
