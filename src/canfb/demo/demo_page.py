@@ -1,4 +1,4 @@
-"""The demo's account, for people and for programs; its pictures and page, and its files in a folder."""
+"""The results of the demo as text and JSON; its pictures and page, and its files in a folder."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ERROR_HEADS = "position error, % of a cycle", "before the table", "with the tabl
 
 
 def account(story: Story) -> str:
-    """One line a fact. ValueError if the demo has not run yet."""
+    """The results as text, one line per fact. ValueError before the demo has run."""
     return "\n".join(
         [
             TITLE,
@@ -68,7 +68,7 @@ def error_facts(story: Story) -> list[Row]:
 
 
 def figures(story: Story) -> dict[str, Any]:
-    """The same for programs. ValueError as :func:`account`."""
+    """The results for JSON. ValueError as :func:`account`."""
     errors = Row(
         held=story.held,
         checks=story.checks,
@@ -139,7 +139,7 @@ def fault_facts(story: Story) -> list[Row]:
 
 
 def servo_facts(story: Story) -> list[Row]:
-    """The second act, and what other settings make of it."""
+    """Results of the servo move, also with other settings."""
     move = f"0 to {RPM:g} rpm in 50 ms: {ACCELERATION_RAD_S2:g} rad/s^2, {JERK_RAD_S3:g} rad/s^3"
     return [
         Row("servo", move, servo_move={run.name: run.figures() for run in story.servo}),
@@ -152,7 +152,7 @@ def verdict(held: bool) -> str:
 
 
 MOVE_SHOWN_MS = -10.0, 75.0
-FIRST_NAME, NAMES_APART = 0.75, 0.06  # heights of the names of the faults, above all residuals
+FIRST_NAME, NAMES_APART = 0.75, 0.06  # height of the first name of a fault, above all residuals; distance
 
 
 def tracks(network: DemoNetwork, story: Story) -> Plot:
@@ -169,7 +169,7 @@ def tracks(network: DemoNetwork, story: Story) -> Plot:
     plot.dots(at[:, 1], at[:, 0], "after large")
     plot.rings(at[:, 1], at[:, 0], "before", "provoked faults")
     for number, (name, (sine, cosine)) in enumerate(zip(faults.values(), at.tolist(), strict=True)):
-        # Towards the middle, above and below in turn.
+        # Place the text towards the middle, alternately above and below.
         left, down = cosine > 0, 20.0 if number % 2 else -9.0
         plot.note(cosine, sine, name, "before end" if left else "before", (-9.0 if left else 9.0, down))
     return plot
@@ -194,7 +194,7 @@ def residual(story: Story) -> Plot:
         ("sample", "residual, cycles"),
     )
     for row, (place, (name, _)) in enumerate(sorted(FAULTS.items())):
-        # Each name is below the one before it: no line crosses a name.
+        # Each name is below the previous one, so that no line crosses a name.
         height = FIRST_NAME - NAMES_APART * row
         plot.line(np.array([place, place], np.float64), np.array([0.0, height]), "before thin")
         plot.note(place, height, name, "before", (5.0, 6.0))
@@ -264,9 +264,9 @@ def write_files(
 
 
 def demo_page(story: Story, made: str, pictures: tuple[Plot, Plot, Plot, Plot, Plot]) -> str:
-    """The page: what the account says, with the pictures. ValueError if the demo has not run yet.
+    """The page: text and pictures. ValueError before the demo has run.
 
-    made        by which version, and when
+    made        version and date
     pictures    tracks, error before and after the table, residual, the move of the servo
     """
     shown, before, after, faults, moved = pictures

@@ -1,4 +1,4 @@
-"""The chapters of the demo, each with its figures and what had to hold."""
+"""The chapters of the demo, each with its figures and checks."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ from canfb.simulation.set_up import SampleRecorder
 
 
 class EmbeddedNetwork(canopen.Network):
-    """python canopen's master on an embedded bus: no thread, no waiting, the answer is there at once."""
+    """The master of canopen on an embedded bus, without thread or waiting: answers arrive at once."""
 
     def __init__(self, bus: EmbeddedBus) -> None:
         super().__init__()
         self._embedded = bus
-        self._own: list[tuple[int, bytes, bool]] = []  # sent, and not yet delivered
+        self._own: list[tuple[int, bytes, bool]] = []  # frames sent but not yet delivered
         bus.observers.append(self._take)
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
@@ -62,9 +62,9 @@ SYNC_PERIOD_S = 1e-3
 BIT_RATE = 1_000_000
 TIMING = SyncTiming(sync_jitter_us=100.0, sync_drift_ppm=-50.0)
 CLOCK_DRIFT_PPM = 100.0
-CLOCK_START_100NS = 0xFFFFFFFF - 50_000_000  # it wraps 5 s after the start
+CLOCK_START_100NS = 0xFFFFFFFF - 50_000_000  # the sample clock wraps 5 s after the start
 APERTURE_JITTER_S = 20e-9
-OTHER_LOAD = 0.1  # of nodes that have nothing to do with it
+OTHER_LOAD = 0.1  # bus load by other nodes
 CYCLES_PER_REVOLUTION = 2500
 UNITS_PER_CYCLE = 1_638_400  # fine enough to see 1e-6 of a cycle in a 32-bit position
 UNITS_PER_REVOLUTION = CYCLES_PER_REVOLUTION * UNITS_PER_CYCLE
@@ -78,7 +78,7 @@ Fault = Callable[[Sample], Sample | None]
 
 
 class FaultySource(MotionSource):
-    """A motion with faults on request: sample number -> what becomes of it, None = lost."""
+    """A motion with faults: sample number -> the faulty sample, None: lost."""
 
     def __init__(self, shaft: ShaftEncoder, motion: ShaftMotion, interval_s: float) -> None:
         super().__init__(shaft, motion, interval_s)
@@ -101,7 +101,7 @@ DRIVE_MOTION = Motion(
 class DemoNetwork:
     """The network, powered on but not yet started, in the time of a real bus.
 
-    Frames take time and wait for each other, the SYNC jitters, and no two clocks agree.
+    Frames take time and wait for each other, the SYNC jitters, and all clocks drift.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class DemoNetwork:
             self.bus.attach(participant)
 
     def run(self, samples: int) -> None:
-        """Let this many SYNC periods pass, and then all PDOs of the last one."""
+        """Run for this many SYNC periods, and until the PDOs of the last one have arrived."""
         self.bus.run_until(self.bus.now + samples * SYNC_PERIOD_S)
         due = self.drive.deadline()
         if due is not None:
@@ -147,7 +147,7 @@ class DemoNetwork:
     def errors_cycles(self, first: int, last: int) -> FloatArray:
         """Position of the drive minus the truth, cycles, for the samples first..last-1.
 
-        A position belongs to the sample of its SYNC or, flagged, to the one before a lost one.
+        A position belongs to the sample of its SYNC or, if flagged, to the one before a lost sample.
         """
         consumed = self.drive.consumed
         number = np.array(consumed.sync_number) - 1
@@ -157,23 +157,23 @@ class DemoNetwork:
 
 
 RPM, ACCELERATION_RAD_S2, JERK_RAD_S3 = 3000.0, 7850.0, 785_000.0
-AT_REST_S = 0.15  # the clocks of interface and module lock to SYNC
+AT_REST_S = 0.15  # standstill, in which the clocks of interface and module lock to SYNC
 AT_SPEED_S = 0.03
-MOST_RESIDUAL_CYCLES = 0.28  # acceleration 0.195, sample times at 3000 rpm at most 0.05, table and noise 0.01
+MOST_RESIDUAL_CYCLES = 0.28  # > acceleration 0.195 + sample times at 3000 rpm 0.05 + table and noise 0.01
 WRONG_CYCLES = 0.25
-# Samples for each SYNC: those that count the move, and what others make of it.
+# Samples for each SYNC: the first number counts the move correctly; the others are compared with it.
 WAYS = (4, 2, 1)
 
 
 @dataclass(frozen=True)
 class ServoRun:
-    """What came of the move.
+    """Result of the move.
 
     limit_cycles        residual limit in force at the end
     time_s, residual    of each sample, seconds from the start of the move, cycles
     valid               every position was valid from the first sample on
-    cycles_off          by how many cycles the position was wrong at the end
-    wrong_and_valid     positions published as valid that were off by more than a quarter of a cycle
+    cycles_off          error of the position at the end, cycles
+    wrong_and_valid     positions published as valid with an error above 0.25 cycle
     """
 
     samples_per_sync: int
@@ -215,7 +215,7 @@ class ServoRun:
 
 
 def _run(encoder: Encoder, correction: Correction, seed: int, samples_per_sync: int) -> ServoRun:
-    """The zero of the count is where the module started: in the cycle in which it stood."""
+    """Simulate the move. The count starts at zero, in the cycle in which the module was started."""
     move = SCurve(RPM * 2.0 * math.pi / 60.0, ACCELERATION_RAD_S2, JERK_RAD_S3, AT_REST_S)
     network = DemoNetwork(encoder, seed, move, samples_per_sync)
     module, source = network.module, network.source
@@ -224,7 +224,7 @@ def _run(encoder: Encoder, correction: Correction, seed: int, samples_per_sync: 
     away: list[float] = []
 
     def listen(feedback: Feedback, now: float) -> None:
-        """With each SYNC: all its samples, each in its part of the interval."""
+        """At each SYNC record all its samples, each with its time within the interval."""
         all_of_it = (*module.chain.between, feedback)
         apart_s = SYNC_PERIOD_S / samples_per_sync
         begin = source.machine_time(now) - AT_REST_S - SYNC_PERIOD_S
@@ -232,7 +232,7 @@ def _run(encoder: Encoder, correction: Correction, seed: int, samples_per_sync: 
         away.append(feedback.cycles + feedback.phase - source.position_cycles)
 
     module.on_feedback = listen
-    network.canopen.nmt.state = "OPERATIONAL"  # all nodes
+    network.canopen.nmt.state = "OPERATIONAL"  # start all nodes
     network.drive.start_sync(network.bus.now)
     network.bus.run_until(network.bus.now + SYNC_PERIOD_S * 2 + move.end_s + AT_SPEED_S)
     error = np.array(away) - away[0]
@@ -263,12 +263,12 @@ FAULTS: dict[int, tuple[str, Fault]] = {
 }
 INVALID = 1 << 31
 MIN_IMPROVEMENT = 50.0
-MAX_ERROR_AFTER = 5e-4  # cycles, noise of a single 12-bit sample included
+MAX_ERROR_AFTER = 5e-4  # largest error with table, cycles, including noise of a single 12-bit sample
 
 
 @dataclass
 class Story:
-    """The content of the report, the figures and ``--json``."""
+    """The results for report, text and ``--json``."""
 
     samples: int = 0
     cycles_per_sample: float = 0.0
@@ -352,7 +352,7 @@ def _provoke_faults(network: DemoNetwork, story: Story) -> None:
     story.residual = np.array(consumed.residual_cycles)[numbers >= first]
     flagged = {n for n, status in zip(numbers.tolist(), consumed.status, strict=True) if not status & VALID}
     lost = first + LOST_SAMPLE
-    # A sample that never came can be missed only when the next SYNC comes.
+    # A missing sample can be detected only at the next SYNC.
     story.flagged_at_once = sum((n + 1 if n == lost else n) in flagged for n in network.source.faults)
 
 
