@@ -1,1 +1,1 @@
-"""The commands: options, a call, output. The commands of one task are in one file."""
+"""The commands: each parses options, makes a call and prints. The commands of one task are in one file."""

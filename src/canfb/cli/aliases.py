@@ -1,13 +1,13 @@
-"""Old commands and options, which stay for one release: each is replaced by the new words before parsing.
+"""Old commands and options, kept for one release: each is replaced by the new words before parsing.
 
-A command line that begins with an old command gets one line on stderr that says the new one.
+A command line that begins with an old command gives one line on stderr with the new one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-NODE = "NODE"  # Among the words of an old command: a node-ID, which stays.
+NODE = "NODE"  # In the words of an old command: a node-ID, which is kept.
 
 COMMANDS = {
     "dump": "monitor --frames",
@@ -26,14 +26,14 @@ COMMANDS = {
     "restore": "backup restore",
     f"backup {NODE}": "backup save",
 }
-SHORT = {"demo": "try --story"}  # Short forms that stay.
+SHORT = {"demo": "try --story"}  # Short forms that are not deprecated.
 
-# By command: an old option and the new one; NODE: its value alone; None: now the default.
+# By command: old option -> new option; NODE: only its value is kept; None: dropped, it is now the default.
 #
-# An option behind the command is a condition: with ``--samples`` there is no SYNC, and ``--rate`` is the old
-# spelling for the rate of the file.
+# An option after the command is a condition: with ``--samples`` there is no SYNC, and ``--rate`` is the old
+# spelling of the rate of the file.
 OPTIONS: dict[str, dict[str, str | None]] = {
-    "": {"--answer-within": "--timeout"},  # of all commands
+    "": {"--answer-within": "--timeout"},  # for all commands
     "try": {"--no-scope": "--no-page"},
     "monitor": {"--rate": "--updates"},
     "simulate": {"--module": NODE},
@@ -47,7 +47,7 @@ OPTIONS: dict[str, dict[str, str | None]] = {
 
 
 def current(words: Sequence[str]) -> tuple[list[str], str]:
-    """The line in the words of today; what to say of an old command, or ""."""
+    """The line in new words; the message on an old command, or ""."""
     at = next((n for n, word in enumerate(words) if not word.startswith("-")), len(words))
     before, line = list(words[:at]), list(words[at:])
     said = ""

@@ -1,4 +1,4 @@
-"""``canfb calibrate``: a reference measurement over the bus, its table proven, active and saved."""
+"""``canfb calibrate``: a reference measurement over the bus; its table is verified, activated and saved."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def calibrate(options: argparse.Namespace) -> int:
             return _said(
                 options, progress, date_and_time(), partial(CalibrationRun.from_file, path=choices.samples)
             )
-        nodes = measured_nodes(options, config)  # says what cannot be before there is a bus
+        nodes = measured_nodes(options, config)  # reports wrong options before the bus is opened
         with sync_master(options, config) as (master, guard):
             return over_bus(master, options, nodes, progress, guard, date_and_time())
 
@@ -202,7 +202,7 @@ def over_bus(
     guard: Guard,
     date: str,
 ) -> int:
-    """On an open bus; the exit code. ``date``: ISO 8601, time behind a space."""
+    """Calibrate on an open bus; returns the exit code. ``date``: ISO 8601, a space before the time."""
     return _said(options, progress, date, lambda run: run.over_bus(master, *nodes, guard))
 
 

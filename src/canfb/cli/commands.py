@@ -1,7 +1,7 @@
 """The parser of the command line, and the file of each command, which is imported when the command is used.
 
-So ``canfb --help`` imports none of them, and a command imports what it uses itself. To add a command:
-write its file with ``register()``, and its line here.
+So ``canfb --help`` imports none of them, and a command imports only what it uses. To add a command:
+write its file with ``register()``, and a line here.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def examples_of(command: str) -> str | None:
     return f"examples:{EXAMPLES[command]}" if command in EXAMPLES else None
 
 
-# By name: its file in this folder, and the summary for ``canfb --help``.
+# The commands by name: file in this folder, and summary for ``canfb --help``.
 COMMANDS = {
     "try": ("try_it", "a module, its encoder and its page on a private bus"),
     "plan": ("plan_command", "what bit rate, SYNC rate, speed and acceleration allow"),
@@ -156,16 +156,16 @@ WRONG_USE = 2
 
 
 class _Parser(argparse.ArgumentParser):
-    """One line says what is wrong; options and arguments may be mixed."""
+    """Reports an error in one line; accepts options and arguments in any order."""
 
     _mixing = False
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As argparse has it, but ``NODE --json CONFIG.yaml`` is what ``NODE CONFIG.yaml --json`` is."""
+        """As in argparse, but ``NODE --json CONFIG.yaml`` equals ``NODE CONFIG.yaml --json``."""
         if self._mixing or any(isinstance(action, argparse._SubParsersAction) for action in self._actions):
             return super().parse_known_args(args, namespace)
         self._mixing = True
-        self._negative_number_matcher = re.compile(r"-\.?\d")  # a value: -1e-05 and -0x10 too
+        self._negative_number_matcher = re.compile(r"-\.?\d")  # -1e-05 and -0x10 are values, too
         try:
             return self.parse_known_intermixed_args(args, namespace)
         finally:
@@ -175,7 +175,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(WRONG_USE, f"{self.prog}: {' '.join(message.split())}; see {self.prog} --help\n")
 
     def _print_message(self, message: str, file: Any = None) -> None:
-        """As argparse has it, but help and version that cannot be written are an error."""
+        """As in argparse, but a failure to write help or version is an error."""
         if file is sys.stdout:
             file.write(message)
         else:
@@ -191,7 +191,7 @@ class _Version(argparse.Action):
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """The parser with all commands; or with this one alone, its file alone imported."""
+    """The parser of all commands, or only of ``command``, importing only its file."""
     parser = _Parser(
         prog="canfb",
         description="CANopen drive feedback module for sine/cosine encoders.",
@@ -204,6 +204,6 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     for name, (file, summary) in COMMANDS.items():
         if command in (None, name):
             import_module(f"canfb.cli.{file}").register(commands)
-        else:  # for the help alone
+        else:  # only for the help
             commands.add_parser(name, help=summary)
     return parser

@@ -89,7 +89,7 @@ def commission(options: argparse.Namespace) -> int:
     wishes, config = wishes_of(options), named_config(options)
     if wishes.out:
         prepare_folder(wishes.out)
-    nodes = measured_nodes(options, config)  # says what cannot be before there is a bus
+    nodes = measured_nodes(options, config)  # reports wrong options before the bus is opened
     as_before = "limits that were not verified are unchanged"
     with (
         shown_progress(quiet=options.json, interrupted=as_before) as progress,

@@ -1,4 +1,4 @@
-"""Completion in a shell by argcomplete, the extra ``completion``: what fits an option or an argument.
+"""Shell completion of options and arguments by argcomplete (extra ``completion``).
 
 The shell runs ``canfb`` with the line in its environment (``register-python-argcomplete canfb``).
 """
@@ -14,7 +14,7 @@ from typing import Any
 from canfb.cli.commands import build_parser, named_command
 from canfb.errors import CanfbError
 
-ASKED = "_ARGCOMPLETE"  # Environment: the shell asks; which word of its line is the program, from 1.
+ASKED = "_ARGCOMPLETE"  # Environment variable of a completion: number of the program's word, from 1.
 CAN_HARDWARE = "280"  # ARPHRD_CAN of Linux
 NETWORK = Path("/sys/class/net")
 YAML_FILES = ("yaml", "yml")
@@ -41,7 +41,7 @@ def answer(environment: Mapping[str, str]) -> None:
 
 
 def asked_words(environment: Mapping[str, str]) -> list[str]:
-    """The words behind the program, up to the cursor."""
+    """The words after the program name, up to the cursor."""
     line, program = environment.get("COMP_LINE", ""), environment.get(ASKED, "")
     point = environment.get("COMP_POINT", "")
     before = line[: int(point)] if point.isdecimal() else line
@@ -49,7 +49,7 @@ def asked_words(environment: Mapping[str, str]) -> list[str]:
 
 
 def nodes(action: argparse.Action, parsed_args: argparse.Namespace, **_: object) -> list[str]:
-    """Node-IDs of the configuration on the line; ``all`` where it may be given."""
+    """Node-IDs of the configuration on the line, and ``all`` if accepted."""
     found = ["all"] if "or all" in (action.help or "") else []
     name = getattr(parsed_args, "config", None)
     if name is not None:

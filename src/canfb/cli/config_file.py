@@ -72,8 +72,8 @@ simulation:                                     # the machine of canfb simulate
 # realtime: {priority: 80, lock_memory: true, cpu: 3}
 #                                               # or {cpu: 3, busy_poll: true}: it never sleeps
 """
-INLINE, FILE = "inline", "file"  # where the table of a DCF is
-EXAMPLE_BUS = "{interface: socketcan, channel: vcan0}"  # in it
+INLINE, FILE = "inline", "file"  # place of the table of a DCF
+EXAMPLE_BUS = "{interface: socketcan, channel: vcan0}"  # bus of the example
 
 
 def register(commands: Commands) -> None:
@@ -162,13 +162,13 @@ def write_dcf(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    options.node = None if options.subject else options.module  # to be read on the bus
+    options.node = None if options.subject else options.module  # without a file: read it on the bus
     if options.node is None:
         refuse_idle(options, ["timeout", "config"], "only with NODE alone, which is read over the bus")
         options.config = options.subject
     if not options.name.isascii() or not options.name.isprintable() or ";" in options.name:
         raise ConfigError(f"--name {options.name!r}: must be printable ASCII without ';'")
-    for name, path in (("--out", options.out), ("--concise", options.concise)):  # before one is written
+    for name, path in (("--out", options.out), ("--concise", options.concise)):  # check before writing
         if path is not None:
             check_writable(path, name)
 

@@ -1,4 +1,4 @@
-"""``canfb monitor --frames [NODE...]``: frames, a line each, PDOs of modules decoded."""
+"""``canfb monitor --frames [NODE...]``: frames, one line each, with decoded PDOs of modules."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``canfb log record``: a log of the bus; ``canfb log replay``: the log through the same module."""
+"""``canfb log record`` records the bus; ``canfb log replay`` replays a log with the same module."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 # PYTHON_ARGCOMPLETE_OK: argcomplete looks for it here
 """The command line: ``canfb COMMAND``.
 
-Exit codes: 0 done, 1 the job failed, 2 wrong use or configuration, 130 interrupted (Ctrl-C; 128 + SIGINT, as
-shells have it) before it was done. An error is one line on stderr; ``--debug`` shows the traceback before
-it, with the same exit code.
+Exit codes: 0 done, 1 failed, 2 wrong use or configuration, 130 interrupted (Ctrl-C; 128 + SIGINT, as in
+shells). An error is one line on stderr; ``--debug`` shows the traceback before it, with the same exit code.
 """
 
 from __future__ import annotations
@@ -25,25 +24,25 @@ INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; the exit code. Without a command: the help."""
+    """Run one command (without one: print the help); returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    # More threads save a tenth, and beside another busy program a calibration takes six times as long.
+    # More threads save 10 %, but with another busy program they make a calibration six times slower.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if "_ARGCOMPLETE" in os.environ:
-        from canfb.cli import completion  # here: it serves the shell, not a command
+        from canfb.cli import completion  # imported here because only the shell needs it
 
         completion.answer(os.environ)
         return FAILED
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 - None: closed (>&-)
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # µ and ″ on a terminal that has none
+        sys.stdout.reconfigure(errors="replace")  # for terminals without µ and ″
     try:
         code = _run(arguments or ["--help"])
         sys.stdout.flush()
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError:  # the reader has gone, as in `canfb demo | head`
+    except BrokenPipeError:  # the reader has ended, as in `canfb demo | head`
         drop_output(sys.stdout)
         return FAILED
     except OSError as error:
@@ -58,22 +57,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    # Here: Ctrl-C may come while they are loaded.
+    # Imported here, where Ctrl-C during the import is handled.
     from canfb.cli.aliases import current
     from canfb.cli.commands import WRONG_USE, build_parser, named_command
     from canfb.cli.options import refuse_combinations
 
-    line = shlex.join(["canfb", *arguments])  # for reports
+    line = shlex.join(["canfb", *arguments])  # command line, for reports
     arguments, said = current(arguments)
     if said:
         print_line(f"canfb: {said}", sys.stderr)
     parser = build_parser(named_command(arguments))
     try:
         options = parser.parse_args(arguments)
-    except SystemExit as end:  # argparse has said what it has to say
+    except SystemExit as end:  # argparse has printed its message
         return int(end.code or 0)
     options.line = line
-    # python-can logs what it raises as well; an error is one line here.
+    # python-can also logs errors that it raises; here an error is one line.
     logging.basicConfig(level=logging.INFO if options.debug else logging.CRITICAL)
     try:
         with printed_log():

@@ -102,7 +102,7 @@ def register(commands: Commands) -> None:
 
 def monitor(options: argparse.Namespace) -> int:
     if options.frames:
-        from canfb.cli.frames import show_frames  # here: neither the page nor the frames are always wanted
+        from canfb.cli.frames import show_frames  # imported here because only --frames needs it
 
         return show_frames(options)
     config = named_config(options)
@@ -135,7 +135,7 @@ def monitor(options: argparse.Namespace) -> int:
 
 
 def _live_page(options: argparse.Namespace) -> LivePage:
-    from canfb.scope.page_server import LivePage  # here: the server is for the page alone
+    from canfb.scope.page_server import LivePage  # imported here because only the page needs it
 
     return LivePage(options.port, options.per_revolution)
 
@@ -143,7 +143,7 @@ def _live_page(options: argparse.Namespace) -> LivePage:
 def _reading(
     bus: SharedBus, layouts: Sequence[NodeLayout], watching: Watching, page: LivePage | None
 ) -> contextlib.AbstractContextManager[None]:
-    from canfb.monitoring.sdo_reading import ModuleReader, reading_beside  # here: canopen is for --sdo alone
+    from canfb.monitoring.sdo_reading import ModuleReader, reading_beside  # here: only --sdo needs canopen
 
     def take(reading: ModuleReading) -> None:
         watching.put(reading)
@@ -157,7 +157,7 @@ def _reading(
 
 @contextlib.contextmanager
 def output(options: argparse.Namespace, page: LivePage | None) -> Iterator[tuple[Show, float]]:
-    """The function that shows a snapshot, and its usual rate, Hz."""
+    """The function that shows a snapshot, and its default rate, Hz."""
     if page is not None:
         with page.server:
             yield page.show, RATE_HZ
@@ -197,5 +197,5 @@ def _page(options: argparse.Namespace) -> Iterator[Show]:
             live.update(Page(snapshot, options.per_revolution, "canfb monitor", plain=plain), refresh=True)
 
         yield show
-    if last is not None:  # the page has gone with its screen
+    if last is not None:  # print the last state, because the alternate screen disappears
         _say_lines(last, options)

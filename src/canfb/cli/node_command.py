@@ -1,6 +1,6 @@
-"""``canfb node``: who is on a bus, and NMT commands (CiA 301, 7.2.8.3.1).
+"""``canfb node``: nodes on a bus, and NMT commands (CiA 301, 7.2.8.3.1).
 
-``reset`` refuses while a machine moves: a module that starts on a turning machine may count wrong.
+``reset`` refuses while a machine moves: a module that starts in motion may count wrong.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ NOBODY = (
     "no node answers, and no heartbeat is heard: are the bus, its bit rate and its power right? "
     "A STOPPED node without heartbeat is silent: canfb node preop all"
 )
-SCAN_S = 1.2  # the heartbeat of most nodes comes once a second or more often
+SCAN_S = 1.2  # most nodes send a heartbeat at least once a second
 
 
 def _node(text: str) -> int:

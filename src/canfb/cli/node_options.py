@@ -32,13 +32,13 @@ def master_of(options: argparse.Namespace) -> BusMaster:
 
 @contextlib.contextmanager
 def sync_master(options: argparse.Namespace, config: Config) -> Iterator[tuple[BusMaster, Guard]]:
-    """A master that gets the SYNCs, or produces them (``--rate``); signals go to the guard."""
+    """A master that receives or produces SYNC (``--rate``); signals go to the guard."""
     bus = open_sync_bus(bus_options(options, config.bus), receives_own=options.rate is not None)
     guard = Guard()
     with BusMaster(bus, options.timeout) as master, ending_on_signals(guard.interrupt):
         if options.rate is not None:
             with received(master, cob.SYNC) as heard:
-                master.wait(0.3)  # a SYNC of 5 Hz or more
+                master.wait(0.3)  # detects another SYNC of 5 Hz or more
             if heard:
                 raise ConfigError("--rate: another node sends SYNC already; leave --rate out")
             master.produce_sync(options.rate)
@@ -47,7 +47,7 @@ def sync_master(options: argparse.Namespace, config: Config) -> Iterator[tuple[B
 
 @contextlib.contextmanager
 def guarded(stays: str = "") -> Iterator[Guard]:
-    """For what changes a node: a signal puts back all but what ``stays``."""
+    """Context of changes to a node: a signal rolls back, except what ``stays``."""
     guard, as_before = Guard(), f"an unfinished change is undone{stays}"
     with shown_progress(quiet=True, interrupted=as_before), ending_on_signals(guard.interrupt):
         yield guard
@@ -61,7 +61,7 @@ def say_result(options: argparse.Namespace, result: Result, progress: Progress |
 
 
 def measured_nodes(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
-    """Ids of module and encoder interface, None if the module determines it. ConfigError if both are one."""
+    """Node-IDs of module and encoder interface (None: by the module). ConfigError if equal."""
     matching = (
         (one.node_id, None if one.source else one.encoder_interface)
         for one in config.modules

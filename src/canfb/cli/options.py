@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from canfb.module.module_config import ModuleConfig
 
 Commands = Any  # argparse's sub-parser action has no public name
-Row = Callable[[Any], object]  # Adds to a parser, or to a group of one.
-# These options go with another one (True) or without it (False), and why.
+Row = Callable[[Any], object]  # Adds arguments to a parser, or to a group.
+# Options that require another option (True) or exclude it (False), that option, and the reason.
 Idle = tuple[Sequence[str], str, bool, str]
-Within = tuple[float, float, str]  # Of a number: the smallest and the largest, and both in words.
+Within = tuple[float, float, str]  # Range of a number: smallest, largest, and both in words.
 
 
 def between(low: float, high: float, unit: str = "") -> Within:
@@ -34,8 +34,8 @@ def between(low: float, high: float, unit: str = "") -> Within:
 PORTS = between(0, 65535)
 BUS_WORDS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 BUS_METAVARS = {"interface": "NAME", "bitrate": "BIT/S", "data_bitrate": "BIT/S", "channel": "CHANNEL"}
-ARGUMENTS = {"config": "CONFIG.yaml", "nodes": "NODE"}  # the rest are options
-# In place of the texts of python-can, which take half a page.
+ARGUMENTS = {"config": "CONFIG.yaml", "nodes": "NODE"}  # all others are options
+# Replaces the texts of python-can, which take half a page.
 BUS_HELP = {
     "channel": "its channel: can0, vcan0, PCAN_USBBUS1; default: canfb use",
     "interface": "of python-can: socketcan, pcan, kvaser, udp_multicast; default: CAN_INTERFACE, canfb use",
@@ -45,7 +45,7 @@ BUS_HELP = {
     "timing": "bit timing, such as f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1",
     "bus_kwargs": "further keys of the interface, such as serial=1234",
 }
-OFTEN = ("interface", "channel", "bitrate")  # Those that each help shows; --help-bus shows all.
+OFTEN = ("interface", "channel", "bitrate")  # Bus options in each help; --help-bus shows all.
 
 
 def add_command(
@@ -57,7 +57,7 @@ def add_command(
     idle: Sequence[Idle] = (),
     **defaults: Any,
 ) -> None:
-    """Add a command that calls ``action``, or a part of one with a ``summary``, and its options."""
+    """Add a command, or with a ``summary`` a sub-command, that calls ``action``, and its options."""
     summary = summary or COMMANDS[name][1]
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -124,7 +124,7 @@ def add_bus_options(parser: Any) -> None:
 
 
 def _bus_group(parser: argparse.ArgumentParser, shown: Iterable[str]) -> None:
-    import can.cli  # here: a command without a bus does not wait for python-can
+    import can.cli  # imported here: commands without a bus do not need python-can
 
     can.cli.add_bus_arguments(parser, group_title="bus")
     for action in parser._actions:
@@ -159,7 +159,7 @@ def refuse_idle(options: argparse.Namespace, names: Iterable[str], why: str) -> 
 
 
 def refuse_combinations(options: argparse.Namespace) -> None:
-    """ConfigError for options that do not go together, and for a number beyond its range."""
+    """ConfigError for options that exclude each other, and for numbers out of range."""
     for names, other, wanted, why in options.idle:
         if bool(given(options, [other])) != wanted:
             refuse_idle(options, names, why)
@@ -176,13 +176,13 @@ def given_bus(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def default_bus_file() -> Path:
-    """Below XDG_CONFIG_HOME, APPDATA on Windows, else ~/.config."""
+    """File of the default bus: in XDG_CONFIG_HOME (Windows: APPDATA), else ~/.config."""
     folder = os.environ.get("XDG_CONFIG_HOME") or os.environ.get("APPDATA") or Path.home() / ".config"
     return Path(folder) / "canfb" / "bus.json"
 
 
 def remembered() -> dict[str, Any]:
-    """python-can's words of the default bus, less those of the environment. ConfigError."""
+    """Options of python-can of the default bus, except those in the environment. ConfigError."""
     if "CAN_INTERFACE" in os.environ:
         return {}
     path = default_bus_file()
@@ -196,7 +196,7 @@ def remembered() -> dict[str, Any]:
 
 
 def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict[str, Any]:
-    """python-can's words, by rising precedence: ``canfb use``, configuration, command line. ConfigError."""
+    """Options of python-can; rising precedence: ``canfb use``, configuration, command line. ConfigError."""
     from canfb.bus.opening import check_words, describe
 
     words = configured | given_bus(options)
@@ -252,7 +252,7 @@ def nodes(
     file: str = "config",
     name: str = "NODE",
 ) -> Row:
-    """NODE and a file in any order, and ``--config``: ``nodes``, ``module`` and ``file``, called ``name``."""
+    """NODE (shown as ``name``) and ``file`` in any order, ``--config``; sets ``nodes`` and ``module``."""
     words: dict[str, Any] = {"nargs": "+" if least else "*", "type": kind or node_or_yaml, "help": text}
 
     def add(parser: Any) -> None:
@@ -305,7 +305,7 @@ def node_or_yaml(text: str) -> int | str:
     return text if text.endswith((".yaml", ".yml")) else node_number(text)
 
 
-# Of the commands that measure.
+# Options of commands that measure.
 MEASURED_NODES = (
     nodes("node-ID of the module (32), or CONFIG.yaml, whose first module is meant", most=1),
     option(
@@ -324,7 +324,7 @@ RATE = option(
     help="produce the SYNC, on a bus without one",
 )
 
-# Of a CSV file of samples; :func:`canfb.sources.recording_source.chosen_layout` checks them.
+# Options of a CSV file of samples; :func:`canfb.sources.recording_source.chosen_layout` checks them.
 COLUMNS = (
     option(
         "--columns",
@@ -343,14 +343,14 @@ UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "%": 0.01}
 
 
 class Jitter(NamedTuple):
-    """±, seconds; or as a part of the period of the SYNC."""
+    """Jitter, ±, in seconds or as a part of the SYNC period."""
 
     value: float
     is_part: bool
 
 
 def jitter(text: str) -> Jitter:
-    """20us, 0.1ms, 2e-5 or 2e-5s, or 30% of the period: a type for argparse."""
+    """Type for argparse: 20us, 0.1ms, 2e-5 or 2e-5s, or 30% of the period."""
     found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?(?:e-?[0-9]{1,2})?) ?(%|[mu\u00b5]?s|)", text)
     if found is None:
         raise argparse.ArgumentTypeError(f"{text!r} is no jitter; write 20us, 0.1ms, 2e-5 (seconds) or 30%")
@@ -358,7 +358,7 @@ def jitter(text: str) -> Jitter:
 
 
 def jitter_s(options: argparse.Namespace, rate_hz: float) -> float:
-    """``--jitter`` in seconds; a part is one of the period of ``rate_hz``."""
+    """``--jitter`` in seconds; a part is multiplied by the period, 1 / ``rate_hz``."""
     return float(options.jitter.value / rate_hz if options.jitter.is_part else options.jitter.value)
 
 
@@ -375,7 +375,7 @@ JITTER = jitter_of("have the SYNC jitter on purpose, uniformly")
 
 
 def jittered(config: Config, options: argparse.Namespace) -> Config:
-    from canfb.simulation.embedded_bus import LARGEST_PART  # here: most commands simulate nothing
+    from canfb.simulation.embedded_bus import LARGEST_PART  # imported here: most commands simulate nothing
 
     name, seconds = "sync_jitter_us", config.simulation.sync_jitter_us * 1e-6
     if options.jitter is not None:

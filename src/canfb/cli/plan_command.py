@@ -1,4 +1,4 @@
-"""``canfb plan``: what a bit rate, a SYNC rate, an encoder and a motion allow."""
+"""``canfb plan``: limits and margins of bit rate, SYNC rate, encoder and motion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from canfb.planning.plan_input import PlanOptions, modules_alike, numbered, plan
 from canfb.planning.plan_rows import plan_figures, plan_lines
 from canfb.simulation.set_up import sync_rate
 
-# Option, field of PlanOptions, word for its value, help.
+# Numeric options: option, field of PlanOptions, metavar, help.
 NUMBERS = (
     ("--rate", "rate_hz", "HZ", "SYNC rate (that of sync_period_us, 1000)"),
     ("--extra", "extra_load", "PART", "part of the bus that other nodes take, 0 to 1"),
@@ -108,4 +108,4 @@ def _named(message: str, parser: argparse.ArgumentParser) -> str:
     first = message.split()[0]
     options = {action.dest: action.option_strings[-1] for action in parser._actions if action.option_strings}
     text = message.replace(first, {"jitter_us": "--jitter", **options}.get(first, first), 1)
-    return f"{text} µs" if first == "jitter_us" else text  # it is given in any unit
+    return f"{text} µs" if first == "jitter_us" else text  # the option accepts any unit

@@ -1,4 +1,4 @@
-"""Output of a command: lines on stdout and stderr, also of what the program logs while a command runs."""
+"""Output of a command: lines on stdout and stderr, including log messages of the program."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def say(text: str) -> None:
 
 
 def print_line(text: str, stream: TextIO) -> None:
-    """Print at once, and in one piece: another thread may print beside it."""
+    """Print immediately and in one call, because other threads may print, too."""
     with reader_may_go(stream):
         stream.write(f"{text}\n")
         stream.flush()
@@ -32,7 +32,7 @@ def print_line(text: str, stream: TextIO) -> None:
 
 @contextlib.contextmanager
 def reader_may_go(stream: TextIO) -> Iterator[None]:
-    """Without its reader or terminal the program goes on, and prints no more."""
+    """If reader or terminal disappear, the program continues without output."""
     try:
         yield
     except OSError as error:
@@ -42,23 +42,23 @@ def reader_may_go(stream: TextIO) -> Iterator[None]:
 
 
 def drop_output(stream: TextIO) -> None:
-    """What is written from now on goes nowhere."""
+    """Discard all further output."""
     with contextlib.suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), stream.fileno())
 
 
-PATIENCE_S = 0.5  # at the end, for a reader
+PATIENCE_S = 0.5  # time for a slow reader at the end
 
 
 @contextlib.contextmanager
 def printed_log() -> Iterator[None]:
-    """Print what the loggers ``canfb.*`` say: information on stdout, warnings on stderr."""
+    """Print messages of the loggers ``canfb.*``: information on stdout, warnings on stderr."""
     logger = logging.getLogger("canfb")
     before = logger.level, logger.propagate
     PRINTING.as_json = False
     logger.addHandler(PRINTING)
     logger.setLevel(logging.INFO)
-    logger.propagate = False  # the root logger has a handler of its own, for python-can
+    logger.propagate = False  # the root logger has its own handler, for python-can
     try:
         yield
     finally:
@@ -68,7 +68,7 @@ def printed_log() -> Iterator[None]:
 
 @contextlib.contextmanager
 def printed_without_waiting() -> Iterator[None]:
-    """Within :func:`printed_log`: the program does not wait for a reader that takes no lines."""
+    """Within :func:`printed_log`: do not wait for a slow reader."""
     PRINTING.outputs = {stream: output for stream in (sys.stdout, sys.stderr) if (output := _output(stream))}
     try:
         yield
@@ -78,9 +78,9 @@ def printed_without_waiting() -> Iterator[None]:
 
 
 class _Printing(logging.Handler):
-    """One line for each record; an output that fails is an error of the command.
+    """Prints one line for each record; a failing output is an error of the command.
 
-    ``as_json``: from here to the end of the command, as JSON objects.
+    ``as_json``: print JSON objects from now on.
     """
 
     as_json = False
@@ -116,11 +116,11 @@ class _Printing(logging.Handler):
             output.put(text)
 
 
-PRINTING = _Printing()  # of this process
+PRINTING = _Printing()  # the only one in the process
 
 
 def _output(stream: TextIO) -> LineOutput | None:
-    """None on Windows, and for what is no file."""
+    """A non-blocking output; None on Windows, and if ``stream`` is not a file."""
     if sys.platform != "win32":
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
@@ -130,13 +130,13 @@ def _output(stream: TextIO) -> LineOutput | None:
 
 WIDTH = 30
 CLEAR = "\r\x1b[K"
-SOONEST_S = 2.0  # A rest is estimated from what has taken at least so long.
-LINE_EVERY_S = 5.0  # Without a terminal a step that takes longer says so often how far it is.
+SOONEST_S = 2.0  # The remaining time is estimated after this time.
+LINE_EVERY_S = 5.0  # Without a terminal, interval of progress lines of a long step.
 
 
 @contextlib.contextmanager
 def shown_progress(*, quiet: bool, interrupted: str = "") -> Iterator[Progress]:
-    """Progress, taken away at the end; ``interrupted`` says what became of the work."""
+    """Progress, removed at the end; ``interrupted``: message after an interruption."""
     progress = Progress(quiet)
     try:
         yield progress
@@ -150,7 +150,7 @@ def shown_progress(*, quiet: bool, interrupted: str = "") -> Iterator[Progress]:
 
 
 class Progress:
-    """One line a step; on a terminal a bar, else a line now and then. It never fails."""
+    """Shows one line per step, on a terminal with a bar, else from time to time. Never raises."""
 
     def __init__(
         self, quiet: bool = False, stream: TextIO | None = None, now: Callable[[], float] = now_s
@@ -187,7 +187,7 @@ class Progress:
             self._print(CLEAR)
 
     def _rest(self, part: float) -> str:
-        """ "" while it is a guess."""
+        """Words on the remaining time; "" while it is uncertain."""
         passed_s = self._now() - self._began_s
         if passed_s < SOONEST_S or not 0.0 < part < 1.0:
             return ""

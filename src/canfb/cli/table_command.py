@@ -75,7 +75,7 @@ def show(options: argparse.Namespace) -> int:
     try:
         node = node_number(options.what)
     except argparse.ArgumentTypeError:
-        if not os.path.exists(options.what):  # False for a name too long, too
+        if not os.path.exists(options.what):  # also False for a name that is too long
             raise ConfigError(f"{options.what}: neither a node-ID (1 to 127) nor a file") from None
         file = read_table(Path(options.what))
         state = TableState(options.what, file.used, file.cycles_per_revolution)

@@ -34,7 +34,7 @@ from canfb.hosting.readiness import Readiness
 from canfb.hosting.trying import START_ALL, NetworkOnBus, private_bus
 from canfb.rows import those
 
-# Below, the machine of the example accelerates too much from SYNC to SYNC.
+# At lower rates the machine of the example accelerates too much between SYNCs.
 RATES = between(50.0, 1000.0, " Hz")
 OF_THE_NETWORK = ("rate", "jitter", "no_page", "port", "ready_file", "write_config")
 
@@ -84,7 +84,7 @@ def register(commands: Commands) -> None:
 def try_it(options: argparse.Namespace) -> int:
     if options.story:
         return _tell_story(options)
-    from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS  # here: for this, no other command is imported
+    from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS  # here: a command imports others only when needed
 
     with contextlib.ExitStack() as held:
         PRINTING.as_json = options.json
@@ -108,9 +108,9 @@ def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> No
             _tell(options, network, None)
             network.wait()
         return
-    from canfb.cli.monitor import monitor  # here: for this, no other command is imported
+    from canfb.cli.monitor import monitor  # here: a command imports others only when needed
 
-    network.on_end = _thread.interrupt_main  # as Ctrl-C does; from any thread
+    network.on_end = _thread.interrupt_main  # the effect of Ctrl-C, from any thread
     words = ["monitor", "--web", "--config", str(path), "--sdo", "--port", str(options.port)]
     if options.ready_file is not None:
         words += ["--ready-file", options.ready_file]
@@ -153,13 +153,13 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
 def _tell_story(options: argparse.Namespace) -> int:
     from canfb.demo.demo_page import account, figures, write_files
     from canfb.demo.story import (
-        DemoNetwork,  # here: the network of `try` needs none of it
+        DemoNetwork,  # imported here: only --story needs it
         run_story,
     )
 
     if options.out:
         prepare_folder(options.out)
-    date = page_date() if options.out else ""  # a wrong one is found before the work
+    date = page_date() if options.out else ""  # raises for a wrong SOURCE_DATE_EPOCH before the work
     network = DemoNetwork()
     story = run_story(network, Progress(options.json or not sys.stderr.isatty()).step)
     pictures, page = (

@@ -1,4 +1,4 @@
-"""``canfb use``: the bus that commands use where neither options nor a configuration name one."""
+"""``canfb use``: the default bus, used if neither options nor a configuration name one."""
 
 from __future__ import annotations
 

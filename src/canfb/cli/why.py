@@ -1,6 +1,6 @@
-"""``canfb why``: why a position is not valid, what a status word says; ``--bundle``: one file for support.
+"""``canfb why``: why a position is not valid, meaning of a status word; ``--bundle``: one file for support.
 
-It reads and listens only: nothing on the bus changes.
+It only reads and listens: nothing on the bus changes.
 """
 
 from __future__ import annotations
@@ -67,10 +67,10 @@ def register(commands: Commands) -> None:
 
 
 def diagnose(options: argparse.Namespace) -> int:
-    """Write what can be found out; what cannot stands in the file with its reason."""
+    """Write a support file; facts that are unavailable are listed with the reason."""
     from canfb.hosting import (
         self_diagnosis as facts,
-    )  # here: `why` needs nothing of a process that serves nodes
+    )  # imported here: only --bundle needs the code of a process that serves nodes
 
     path = options.out or Path(f"canfb-diagnose-{local_time():%Y%m%d-%H%M%S}.json")
     check_writable(path)
@@ -83,7 +83,7 @@ def diagnose(options: argparse.Namespace) -> int:
             parts["log"] = facts.journal(Path(options.config).stem)
     except CanfbError as error:
         parts["configuration_error"] = str(error)
-        options.config = None  # another bus may be named
+        options.config = None  # its bus need not be the one of the options
     parts["bus"] = {}
     try:
         parts["bus"] = facts.interface_facts(bus_options(options, config.bus))
