@@ -1,1 +1,1 @@
-"""What takes how long, and how good it is: cycles, modules, latency, correction tables."""
+"""Benchmarks: time of a cycle and of whole arrays, latency on a bus."""

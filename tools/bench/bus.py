@@ -44,7 +44,7 @@ from tools.site.text import table
 
 Combination = tuple[str, str, str]
 NODES = ("stock", "canfb", "floor")
-PRIORITY = 90  # of this program, above that of the node
+PRIORITY = 90  # priority of this program, above that of the node
 PATIENCE_S = 20.0
 PARTS = (0.5, 0.99, 0.999, 1.0)
 HEAD = (
@@ -54,7 +54,7 @@ HEAD = (
 
 
 class NodeProcess:
-    """Runs tools.bench.bus_node on a bus until :meth:`end`; the others of the bus use :attr:`bus`."""
+    """Runs tools.bench.bus_node on a bus until :meth:`end`; this program uses :attr:`bus`."""
 
     def __init__(self, arguments: Sequence[str], channel: str | None) -> None:
         command = [sys.executable, "-m", "tools.bench.bus_node", *arguments]
@@ -73,7 +73,7 @@ class NodeProcess:
         assert self._process.stdout is not None
         if not any(READY in line for line in iter(self._process.stdout.readline, "")):
             sys.exit(f"{' '.join(arguments)} did not start")
-        self._clock = (~self._process.pid << 3) | 2  # of the process: clock_getcpuclockid(3)
+        self._clock = (~self._process.pid << 3) | 2  # CPU clock of the process: clock_getcpuclockid(3)
 
     def processor_s(self) -> float:
         return time.clock_gettime(self._clock)
@@ -92,7 +92,7 @@ class NodeProcess:
 
 @dataclass
 class Found:
-    """Of one combination: processor time of a cycle in each round, and the times of all rounds, µs."""
+    """Results of one combination: processor time of a cycle in each round, latencies of all rounds, µs."""
 
     processor_us: list[float] = field(default_factory=list)
     from_sync_us: list[float] = field(default_factory=list)
@@ -100,7 +100,7 @@ class Found:
     late: int = 0
 
     def cells(self, first: Found) -> list[str]:
-        # A node that a busy machine has not let run has spent nothing.
+        # On a busy machine a node may not have run at all in a round: 0.
         pairs = zip(self.processor_us, first.processor_us, strict=True)
         ratio = statistics.median(one / two if two else math.nan for one, two in pairs)
         return [
@@ -110,13 +110,13 @@ class Found:
 
 
 def percentiles(values: Sequence[float]) -> str:
-    """p50, p99, p99.9 and the largest; nearest rank, so each is one of the values."""
+    """p50, p99, p99.9 and maximum, by nearest rank: each is one of the values."""
     found = np.quantile(values, PARTS, method="inverted_cdf") if values else ()
     return " / ".join(f"{value:.0f}" if value >= 10 else f"{value:.1f}" for value in found) or "-"
 
 
 def measure(found: Found, one: Combination, channel: str | None, rate_hz: float, cycles: int) -> None:
-    """One round of one combination, with one node at a time: on one interface they would hear each other."""
+    """One round of one combination, with one node at a time: on one interface several would interfere."""
     load, kind, realtime = one
     node = NodeProcess([kind, "--realtime", realtime], channel)
     try:
@@ -136,7 +136,7 @@ def measure(found: Found, one: Combination, channel: str | None, rate_hz: float,
 
 @contextlib.contextmanager
 def undisturbed(*, first: bool) -> Iterator[None]:
-    """No garbage is collected here; ``first``: this program has a processor before others, if permitted."""
+    """Context without garbage collection; ``first``: this program has real-time priority, if permitted."""
     gc.collect()
     gc.disable()
     usual = os.sched_getaffinity(0)
@@ -177,7 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = {
         one: Found()
         for one in product(chosen["loads"], chosen["nodes"], chosen["realtime"])
-        if one[0] != "sdo" or one[1] not in ("stock", "floor")  # which have no block transfer
+        if one[0] != "sdo" or one[1] not in ("stock", "floor")  # these lack block transfer
     }
     if not found:
         parser.error("--loads sdo: stock and floor have no block transfer")

@@ -1,10 +1,10 @@
-"""A node for tools.bench.bus, in a process of its own: on a socket that is handed down, or on SocketCAN.
+"""A node for tools.bench.bus, in its own process: on an inherited socket, or on SocketCAN.
 
     python -m tools.bench.bus_node KIND (--fd N | --channel vcan0) [--realtime yes|busy]
 
 KIND: `stock` is a canopen.LocalNode that answers with atan2, on python-can; `canfb` is `canfb run`; `floor`
-answers SYNC and ADC PDO as the module does, with an angle and without anything else: what machine and bus
-take. It prints a line with READY when it is on the bus.
+answers SYNC and ADC PDO with an angle and does nothing else: the time that machine and bus take. It prints a
+line with READY when it is on the bus.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ SYNCHRONOUS_PDO = 0x280 + NODE_ID
 
 
 def python_can_bus(options: argparse.Namespace) -> can.BusABC:
-    """python-can's own SocketCAN bus; on the socket that was handed down, if one was."""
+    """The SocketCAN bus of python-can; on the inherited socket, if there is one."""
     if options.fd is None:
         return SocketcanBus(options.channel)
     given = socket.socket(fileno=options.fd)
-    logging.getLogger("can").setLevel(logging.CRITICAL)  # it is no CAN socket, and takes no such option
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # it warns that this socket lacks options of CAN
     vars(socketcan).update(create_socket=lambda: given, bind_socket=lambda *arguments: None)
     return SocketcanBus("given")
 

@@ -1,8 +1,8 @@
-"""The other nodes of tools.bench.bus: SYNC producer, encoder interface and a load; the times of frames.
+"""The other nodes of tools.bench.bus: SYNC producer, encoder interface and a load; times of frames.
 
-The load is nothing, SDO block transfers, or PDOs of others. On a pair of sockets a frame that is sent has the
-time just before the call, on SocketCAN it comes back with the time of the kernel. What the node sends has the
-time of the kernel on both.
+The load is nothing, SDO block transfers, or PDOs of other nodes. The time of a frame sent on a pair of
+sockets is taken just before the call; on SocketCAN the frame is received back with the time of the kernel.
+Frames of the node have the time of the kernel on both.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from tools.bench.cycle import ADC_PDO, NODE_ID, POSITION_PDO, SYNC, UNITS_PER_CY
 from tools.fuzz.sdo import LARGEST_BLOCK, Follower
 
 SDO_REQUEST, SDO_ANSWER = 0x600 + NODE_ID, 0x580 + NODE_ID
-OTHERS_ID = 0x3A0  # of a PDO that the module does not listen to
-ENTRIES, FEW_ENTRIES = 4096, 256  # of a table: the most there are, and of the one in force
-DEPTHS = 0.0, 0.001  # of the tables, cycles
-ABORT, END_OF_UPLOAD = 0x80, 0xA1  # first bytes
+OTHERS_ID = 0x3A0  # CAN-ID of a PDO that the module does not receive
+ENTRIES, FEW_ENTRIES = 4096, 256  # entries of the tables of the load (the largest), and of the first one
+DEPTHS = 0.0, 0.001  # amplitudes of the corrections of both tables, cycles
+ABORT, END_OF_UPLOAD = 0x80, 0xA1  # first bytes of these SDO frames
 CAN_FRAME = struct.Struct("=IB3x8s")
-STEPS, PERIOD = 11, 100  # hundredths of a cycle from sample to sample: after 100 samples the phase repeats
+STEPS, PERIOD = 11, 100  # speed 11/100 cycle per sample: the phase repeats after 100 samples
 STEPS_INVERSE = pow(STEPS, -1, PERIOD)
 SYNC_FRAME = CAN_FRAME.pack(SYNC, 0, b"")
 ADC_FRAMES = [CAN_FRAME.pack(ADC_PDO, len(data), data) for data in adc_data(PERIOD, STEPS / PERIOD)]
 BIT_S = 1e-6
 WARM_UP = 300
 LONGEST_WARM_UP = 100
-LONGEST_LAG = 0.3  # of a period
+LONGEST_LAG = 0.3  # part of a period by which a SYNC may be late before SYNCs are skipped
 ADC_S = frame_bits(4) * BIT_S  # the encoder interface sends at once
 
 Transfer = tuple[bytes, bytes | None]
@@ -48,24 +48,24 @@ Transfer = tuple[bytes, bytes | None]
 
 
 class TransferFailed(RuntimeError):
-    """The module has aborted."""
+    """The module has aborted a transfer."""
 
 
 class Load:
-    """Frames of other nodes that wait until the bus has room: here none."""
+    """Frames of other nodes that wait for room on the bus; here none."""
 
     def __init__(self, *frames: tuple[int, bytes]) -> None:
         self.frames = deque(frames)
 
     def sent(self) -> None:
-        """The first of them was sent."""
+        """The first waiting frame was sent."""
 
     def take(self, can_id: int, data: bytes) -> None:
-        """A frame of the module."""
+        """Receive a frame of the module."""
 
 
 class SdoClient(Load):
-    """The requests of these transfers, each when the one before is answered."""
+    """The requests of these transfers, each after the answer to the previous one."""
 
     def __init__(self, transfers: Iterator[Transfer]) -> None:
         super().__init__()
@@ -86,7 +86,7 @@ class SdoClient(Load):
         if not self._client.is_within_block(data):
             following = self._client.requests()
             self.frames.extend((SDO_REQUEST, one) for one in following)
-            if not following or following[-1][0] == END_OF_UPLOAD:  # which has no answer
+            if not following or following[-1][0] == END_OF_UPLOAD:  # the end of an upload has no answer
                 self._begin()
 
     def _begin(self) -> None:
@@ -108,7 +108,7 @@ def set_up() -> Iterator[Transfer]:
 
 
 def tables() -> Iterator[Transfer]:
-    """Block download to 2020:01, activation, block upload, of two tables in turns, for ever."""
+    """Block download to 2020:01, activation, block upload, of two tables alternately, endless."""
     for content in cycle([encoder_table(ENTRIES, depth).to_bytes() for depth in DEPTHS]):
         yield from table_in_force(content)
         yield struct.pack("<BHBI", 0xA4, *od.TABLE_STAGED, LARGEST_BLOCK), None
@@ -123,9 +123,9 @@ LOADS: dict[str, Callable[[], Load]] = {
 
 @dataclass
 class Times:
-    """Of each sample, by its number, in seconds: its SYNC and ADC PDO, and the PDOs with its position.
+    """Times of each sample, by its number, in seconds: of SYNC, ADC PDO, and the PDOs with its position.
 
-    That of TPDO1 (type 254) follows the ADC PDO, that of TPDO2 (type 1) the next SYNC.
+    TPDO1 (type 254) follows the ADC PDO, TPDO2 (type 1) the next SYNC.
     """
 
     sync_s: dict[int, float] = field(default_factory=dict)
@@ -140,12 +140,12 @@ class Times:
         return [(at - self.adc_s[n]) * 1e6 for n, at in self.at_once_s.items() if n in self.adc_s]
 
     def not_in_time(self, period_s: float) -> int:
-        """Samples whose position did not come within a period of their ADC PDO."""
+        """Number of samples whose position was not received within a period after their ADC PDO."""
         return sum(self.at_once_s.get(n, math.inf) > at + period_s for n, at in self.adc_s.items())
 
 
 class Others:
-    """Plays SYNC producer and encoder interface on ``bus``, and a load as far as 1 Mbit/s has room for it."""
+    """Plays SYNC producer and encoder interface on ``bus``, and a load within 1 Mbit/s."""
 
     def __init__(self, bus: socket.socket) -> None:
         self._bus = bus
@@ -154,9 +154,9 @@ class Others:
             bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, 1)
         self._read = FrameReader(bus).read
         self._load = Load()
-        self._number = -1  # of the newest sample
-        self._position = -1  # the last of TPDO1, in its cycle
-        self._free_s = 0.0  # when the bus has room
+        self._number = -1  # number of the newest sample
+        self._position = -1  # last position of TPDO1, modulo a cycle
+        self._free_s = 0.0  # time at which the bus is free
         self._on_the_way: dict[int, deque[int]] = {SYNC: deque(), ADC_PDO: deque()}
         self._times = Times()
 
@@ -177,7 +177,7 @@ class Others:
         next_s = time.monotonic()
         for _ in range(cycles):
             self._until(next_s)
-            if time.monotonic() > next_s + LONGEST_LAG / rate_hz:  # no burst of SYNCs that nobody would send
+            if time.monotonic() > next_s + LONGEST_LAG / rate_hz:  # skip late SYNCs: no unrealistic burst
                 next_s = time.monotonic()
             next_s += 1.0 / rate_hz
             self._number += 1
@@ -220,7 +220,7 @@ class Others:
             self._position = _in_a_cycle(data)
             self._times.at_once_s.setdefault(self._number_of(self._position), stamp_s)
         elif can_id == SYNCHRONOUS_PDO:
-            if _in_a_cycle(data) == self._position:  # else it coasts
+            if _in_a_cycle(data) == self._position:  # different: it coasts
                 self._times.with_sync_s.setdefault(self._number_of(self._position), stamp_s)
         elif can_id in self._on_the_way:
             times = self._times.sync_s if can_id == SYNC else self._times.adc_s
@@ -230,7 +230,7 @@ class Others:
         self._free_s += frame_bits(len(data)) * BIT_S
 
     def _number_of(self, position: int) -> int:
-        """The newest sample with this phase; not by the cycle count, which a busy machine may lose."""
+        """The newest sample with this phase; the cycle count may be lost on a busy machine."""
         place = round(position * PERIOD / UNITS_PER_CYCLE)
         return self._number - (self._number - place * STEPS_INVERSE) % PERIOD
 

@@ -1,10 +1,10 @@
-"""Measure what one cycle and what whole arrays cost, each against something everybody knows, with pyperf.
+"""Measure the time of one cycle and of whole arrays, each relative to a well-known operation, with pyperf.
 
     python -m tools.bench.cycle [--only TEXT] [--check] [options of pyperf]
 
-pyperf runs each piece of work in processes of its own, and says mean and standard deviation; `-o FILE` keeps
-all values, and `python -m pyperf compare_to BEFORE AFTER` compares two versions. Times are those of the
-process. The ratios of the medians come last. --check: exit status 1 when a goal is missed.
+pyperf runs each piece of work in separate processes, and prints mean and standard deviation; `-o FILE` stores
+all values, and `python -m pyperf compare_to BEFORE AFTER` compares two versions. Times are processor times of
+the process. The ratios of the medians come last. --check: exit status 1 when a goal is missed.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from tools.site.text import table
 NODE_ID, ENCODER_INTERFACE = 32, 16
 SYNC, ADC_PDO, POSITION_PDO = 0x080, 0x180 + ENCODER_INTERFACE, 0x180 + NODE_ID
 AMPLITUDE_COUNTS = 1500
-UNITS_PER_CYCLE = 8192  # of 6004h
+UNITS_PER_CYCLE = 8192  # default scale of 6004h
 STREAM_BLOCK = 65536
 TABLE_ENTRIES = 256
 INTERVAL_S = 0.001
-CYCLES = 500  # frames to frames, in one repetition
-SAMPLES = 1_000_000  # of an array
-# float64, int16, supervised: numpy's arctangent is ten times as fast with AVX-512, and nothing of ours.
+CYCLES = 500  # cycles, from frames to frames, in one repetition
+SAMPLES = 1_000_000  # samples of an array
+# Goals for float64, int16, supervised: AVX-512 makes arctan2 of numpy ten times faster, but not canfb.
 GOALS_AVX512 = 0.45, 0.5, 0.7
 GOALS_OTHER = 0.33, 0.4, 0.5
 PAIR = struct.Struct("<hh")
@@ -61,7 +61,7 @@ def seconds(make: Callable[[], Work], loops: int) -> float:
 
 
 def seconds_slept(make: Callable[[], Any], loops: int) -> float:
-    """The same, with a sleep of one interval before each cycle, when all caches hold something else."""
+    """The same with a sleep of one interval before each cycle, after which the caches are cold."""
     run = warm(make)
     spent = 0.0
     for sample in run.samples * loops:
@@ -83,7 +83,7 @@ class Timed:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Names of two that do the same work; `goal` is what the ratio must stay below."""
+    """Names of two pieces of equivalent work; `goal`: limit of the ratio of their times."""
 
     name: str
     ours: str
@@ -98,14 +98,14 @@ class Comparison:
 
 
 class StockNetwork(canopen.Network):
-    """A network whose frames end here, as canopen provides for a bus of one's own."""
+    """A network without a bus, as canopen allows: its frames end here."""
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         self.last = (can_id, bytes(data))
 
 
 def stock_node(network: canopen.Network) -> None:
-    """A canopen.LocalNode that answers each ADC PDO with the angle in the cycle, and no more."""
+    """A canopen.LocalNode that answers each ADC PDO with the angle in the cycle, and does nothing else."""
     node = canopen.LocalNode(NODE_ID, str(eds_path("canfb-module")))
     network.add_node(node)
     received, sent = node.rpdo[1], node.tpdo[1]
@@ -124,13 +124,13 @@ def stock_node(network: canopen.Network) -> None:
 
 
 def encoder_table(entries: int = TABLE_ENTRIES, error_cycles: float = 0.01) -> canfb.CorrectionTable:
-    """Corrects what Table 1 of the paper leaves, and an encoder with this error."""
+    """A table that corrects the error of Table 1 of the paper, and an encoder with this error."""
     ideal = exact_table(entries=entries).entries
     return canfb.CorrectionTable(ideal + error_cycles * np.sin(2 * np.pi * (ideal + 0.1)))
 
 
 def feedback_module(**fields: Any) -> canfb.FeedbackModule:
-    """The module with these fields, else factory defaults, operational, with an active correction table."""
+    """A module with these fields, else factory defaults, OPERATIONAL, with an active correction table."""
     words = {"node_id": NODE_ID, "encoder_interface": ENCODER_INTERFACE, "autostart": True}
     module = canfb.FeedbackModule(canfb.ModuleConfig(**words | fields))
     module.start(0.0)
@@ -141,7 +141,7 @@ def feedback_module(**fields: Any) -> canfb.FeedbackModule:
 
 
 def adc_data(cycles: int, speed: float = 0.3) -> list[bytes]:
-    """ADC PDOs of a drive that turns at this speed, cycles per sample."""
+    """Data of ADC PDOs of a machine at this speed, cycles per sample."""
     encoder = Encoder(amplitude_counts=AMPLITUDE_COUNTS)
     return [PAIR.pack(*pair) for pair in zip(*encoder.sample(speed * np.arange(cycles)), strict=True)]
 
@@ -172,7 +172,7 @@ class ModuleRun:
 
 
 class TimedRun(ModuleRun):
-    """The same with sample times (2000:05) up to 3 ticks off; they wrap: 512 intervals are 2^32 ticks."""
+    """The same with sample times (2000:05), wrong by up to 3 ticks, which wrap after 512 intervals."""
 
     CYCLES = 512
     TICKS = 2**32 // CYCLES
@@ -211,9 +211,9 @@ class StockRun:
 
 
 def tracks(kind: type = np.float64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Way in cycles, sine, cosine of this type: to and fro at up to 0.45 cycles a sample.
+    """Position in cycles, sine, cosine of this type: an oscillation at up to 0.45 cycles per sample.
 
-    numpy.unwrap needs less than half a cycle a sample; the module does not.
+    numpy.unwrap requires less than 0.5 cycle per sample; the module does not.
     """
     position = np.cumsum(0.45 * np.sin(np.arange(SAMPLES) * 1e-3)) + 0.1
     noise = np.random.default_rng(1).normal(0.0, 1.0, (2, SAMPLES))
@@ -229,7 +229,7 @@ def array_goals() -> tuple[float, float, float]:
 
 
 def process_arrays(kind: type) -> Work:
-    """`canfb.process` of this type of samples, whose positions are right."""
+    """`canfb.process` of samples of this type; checks that the positions are right."""
     way, sine, cosine = tracks(kind)
     ours = partial(canfb.process, sine, cosine, encoder_table(), speed_cycles=0.0)
     result = ours()
@@ -250,7 +250,7 @@ def unwrap_arrays(kind: type) -> Work:
 
 
 def supervised_stream() -> Work:
-    """The supervised chain over the same samples, from one to the next block of them."""
+    """The supervised chain over the same samples, block by block."""
     _, sine, cosine = tracks()
     table = encoder_table()
     parts = [slice(start, start + STREAM_BLOCK) for start in range(0, len(sine), STREAM_BLOCK)]
@@ -301,7 +301,7 @@ def comparisons() -> list[Comparison]:
 
 
 def pass_on(command: list[str], options: argparse.Namespace) -> None:
-    """To the processes that measure: they count the pieces of work."""
+    """Pass --only to the measuring processes, which identify a piece of work by its number."""
     command += ["--only", options.only]
 
 
@@ -321,7 +321,7 @@ def main(arguments: list[str] | None = None) -> int:
         if any(name in (one.ours, one.other) for one in chosen):
             work = partial(timed.seconds, cache(timed.make))
             measured = runner.bench_time_func(name, work, inner_loops=timed.units)
-            if not options.worker:  # which measures only one of them
+            if not options.worker:  # a worker measures only one piece
                 medians[name] = measured.median()
     return 0 if options.worker else report(chosen, medians, check=options.check)
 
