@@ -1,1 +1,1 @@
-"""Faults of the signal chain, of the wire and of saving, and what the module makes of them."""
+"""Campaigns of faults in the samples and on the wire, which compare the module with the truth."""

@@ -1,8 +1,8 @@
-"""One engine for the campaigns: which episodes, in how many processes, their sums, the table, the goals.
+"""One engine for the campaigns: selection of episodes, processes, sums, table, goals.
 
 A campaign is a table of faults, a table of set-ups, and a function that draws, plays and judges the episodes
-of one cell of both (:class:`Work`) and counts what it saw (:class:`Sums`). What an episode is depends on its
-cell, its seed and its number only.
+of one cell, i.e. a fault with a set-up (:class:`Work`), and counts the results (:class:`Sums`). An episode
+is a function of its cell, seed and number only.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Cell(NamedTuple):
 
 
 class Work(NamedTuple):
-    """The episodes of a cell with these numbers: what one process does at a time."""
+    """Episodes of a cell, by number: the work of one process at a time."""
 
     cell: Cell
     seed: int
@@ -37,7 +37,7 @@ class Work(NamedTuple):
 
 @dataclass
 class Sums:
-    """What was counted, by name, and some examples of what must not be."""
+    """Counts by name, and some examples of results that must not occur."""
 
     counts: Counter[str] = field(default_factory=Counter)
     examples: list[str] = field(default_factory=list)
@@ -55,7 +55,7 @@ class Sums:
         return self.counts[name]
 
     def percent(self, part: str, whole: str = "episodes") -> float:
-        """``part`` of ``whole``; 100 of nothing."""
+        """``part`` / ``whole`` in per cent; 100 if ``whole`` is 0."""
         return 100.0 * self[part] / self[whole] if self[whole] else 100.0
 
 
@@ -67,10 +67,10 @@ Rows = list[list[str]]
 class Campaign:
     """Faults x set-ups.
 
-    play    of a piece of work; must be importable, or a partial of what is
-    misses  the goals that a cell misses
-    chunk   episodes that are drawn together
-    runs    whether this fault is for this set-up
+    play    plays a piece of work; must be importable, or a partial of an importable function
+    misses  gives the goals that a cell misses
+    chunk   number of episodes that are drawn together
+    runs    whether this fault applies to this set-up
     """
 
     faults: Sequence[str]
@@ -85,7 +85,7 @@ class Campaign:
         return [cell for cell in every if self.runs(cell)]
 
     def run(self, seeds: Sequence[int], episodes: int, processes: int) -> Results:
-        """``episodes`` of each cell and seed; the result does not depend on ``processes``."""
+        """Run ``episodes`` of each cell and seed; the result does not depend on ``processes``."""
         results: Results = {cell: Sums() for cell in self.cells()}
         work = [
             Work(cell, seed, range(first, min(first + self.chunk, episodes)))
@@ -103,7 +103,7 @@ class Campaign:
         return results
 
     def missed(self, results: Results) -> list[str]:
-        """Every goal that is missed, with examples."""
+        """All goals missed, with examples."""
         found = []
         for cell, sums in results.items():
             misses = list(self.misses(cell, sums))
@@ -113,7 +113,7 @@ class Campaign:
 
 
 def total(results: Results, fault: str = "*", setup: str = "*") -> Sums:
-    """Of all cells of these names, with * and ?."""
+    """Sum over all cells with these names, which may contain * and ?."""
     found = Sums()
     for cell, sums in results.items():
         if fnmatch(cell.fault, fault) and fnmatch(cell.setup, setup):
@@ -122,7 +122,7 @@ def total(results: Results, fault: str = "*", setup: str = "*") -> Sums:
 
 
 def chosen(names: Iterable[str], patterns: Sequence[str]) -> list[str]:
-    """Names that one of the patterns is for; ValueError for a pattern that is for none."""
+    """Names that match one of the patterns; ValueError for a pattern without a match."""
     every = list(names)
     for pattern in patterns:
         if not any(fnmatch(name, pattern) for name in every):
@@ -131,14 +131,14 @@ def chosen(names: Iterable[str], patterns: Sequence[str]) -> list[str]:
 
 
 def by_setup(results: Results, text: Callable[[Sums], str]) -> Rows:
-    """Faults below each other, set-ups side by side, where each is for each; the first row has the heads."""
+    """Table of faults (rows) and set-ups (columns), if all apply to each other; the first row is the head."""
     faults, setups = (list(dict.fromkeys(names)) for names in zip(*results, strict=True))
     rows = [[fault, *(text(results[Cell(fault, setup)]) for setup in setups)] for fault in faults]
     return [["fault", *setups], *rows]
 
 
 def by_count(results: Results, counts: Sequence[str], *, each_setup: bool = False) -> Rows:
-    """A row for each fault, and for each set-up of it if asked; a column for each count."""
+    """Table with a row for each fault (``each_setup``: and set-up) and a column for each count."""
     groups: list[tuple[str, str]] = []
     for fault in dict.fromkeys(cell.fault for cell in results):
         groups += [cell for cell in results if each_setup and cell.fault == fault]
@@ -164,7 +164,7 @@ def parser(prog: str, doc: str | None, episodes: int, seed: int) -> argparse.Arg
 
 
 def at_least(least: int) -> Callable[[str], int]:
-    """The type of an option that is a whole number."""
+    """Type for argparse: a whole number >= ``least``."""
 
     def number(text: str) -> int:
         value = int(text)
@@ -176,7 +176,7 @@ def at_least(least: int) -> Callable[[str], int]:
 
 
 def run(campaign: Campaign, said: argparse.Namespace, table: Callable[[Results], Rows]) -> int:
-    """As the options say; print it; the exit status: 1 where a goal is missed."""
+    """Run with these options and print the results; returns the exit status, 1 if a goal is missed."""
     results = campaign.run(said.seed, said.episodes, said.processes)
     missed = campaign.missed(results)
     if said.json:

@@ -1,8 +1,8 @@
-"""The machines of all campaigns: motions within an acceleration, and the tracks of an encoder.
+"""The machines of all campaigns: motions with bounded acceleration, and the tracks of an encoder.
 
 On a grid of samples a motion is given by its acceleration u, one value for each interval. On the even grid u
-is the second difference itself: the widest set of motions that a bound on it admits. At other instants u is
-constant from one nominal instant to the next, so that every divided difference keeps the bound.
+is the second difference itself, which gives all motions within the bound. At other instants u is constant
+between nominal instants, so that every divided difference is within the bound.
 :class:`Motion` is a position at any time. Speeds are cycles per interval T, accelerations cycles/T^2.
 """
 
@@ -24,7 +24,7 @@ Rng = np.random.Generator
 TOP_CYCLES = 125.0  # 3000 rpm, 2500 cycles per revolution, 1 kHz
 FULL_SCALE = 2048  # 12 bits
 AMPLITUDE_COUNTS, NOISE_COUNTS = 1600.0, 0.5
-UNCORRECTED = 0.0125  # a smaller phase error than this one needs a table
+UNCORRECTED = 0.0125  # phase error, cycles; a smaller declared error requires a table
 TABLE_ENTRIES = 1024
 SHARP = (0.0, 1.0 / 3.0, 0.5)  # parts of a cycle per sample at which the phases of a machine repeat
 
@@ -79,7 +79,7 @@ ACCELERATIONS: tuple[Callable[[Rng, int, int], Array], ...] = (
 
 
 def accelerations(bound: float, rng: Rng, at: Iterable[int], samples: int) -> Array:
-    """Shape (episodes, samples), of faults at these samples; half of the episodes use all of the bound."""
+    """Accelerations, shape (episodes, samples), for faults at ``at``; half of them use all of ``bound``."""
     kinds = len(ACCELERATIONS)
     u = np.stack([ACCELERATIONS[int(rng.integers(kinds))](rng, samples, int(one)) for one in at])
     part = np.where(rng.uniform(size=len(u)) < 0.5, 1.0, rng.uniform(size=len(u)))
@@ -87,7 +87,7 @@ def accelerations(bound: float, rng: Rng, at: Iterable[int], samples: int) -> Ar
 
 
 def start_speeds(rng: Rng, episodes: int, reserve: float) -> Array:
-    """Anywhere, every other one close to a whole, a third or half a cycle per sample."""
+    """Random speeds; every other one is close to a whole, 1/3 or 1/2 cycle per sample."""
     top = max(TOP_CYCLES - reserve, 1.0)
     speeds = rng.uniform(-top, top, episodes)
     sharp = np.rint(speeds) + rng.choice(SHARP, episodes) + rng.normal(0.0, 0.002, episodes)
@@ -113,11 +113,11 @@ def positions(u: Array, speed: Array, rng: Rng, instants: Array | None = None) -
 
 @dataclass
 class Motion:
-    """Position at any time, in T: from standstill at ``start``, what each of these adds from its begin on.
+    """Position at any time, in T: from standstill at ``start``, with the sum of the following.
 
-    ``pieces`` are (begin, acceleration), ``jerks`` (begin, jerk), each until another takes it back;
-    ``vibrations`` are (begin, acceleration amplitude a, frequency f in 1/T, end): a sin(2 pi f t), which
-    leaves a speed that is part of the motion.
+    ``pieces`` are (begin, acceleration), ``jerks`` (begin, jerk), both without an end: a later one with the
+    opposite sign cancels them. ``vibrations`` are (begin, acceleration amplitude a, frequency f in 1/T, end):
+    a sin(2 pi f t); the speed that remains at the end is kept.
     """
 
     start: float = 0.0
@@ -129,7 +129,7 @@ class Motion:
         self.pieces += [(begin, acceleration), (begin + duration, -acceleration)]
 
     def s_curve(self, begin: float, duration: float, acceleration: float, steps: int = 8) -> None:
-        """Add a torque that rises and falls as a triangle, in small steps."""
+        """Add a triangular pulse of acceleration, in small steps."""
         for n in range(steps):
             begin_n = begin + duration * 0.5 * n / steps
             self.push(begin_n, duration * (1.0 - n / steps), acceleration / steps)
@@ -151,7 +151,7 @@ class Motion:
         return x
 
     def largest_acceleration(self, end: float) -> float:
-        """Up to time ``end``; without jerks."""
+        """Largest acceleration up to time ``end``, without jerks."""
         steps = sorted(self.pieces)
         constant = np.cumsum([0.0, *(size for _, size in steps)])
         shaking = sum(abs(size) for _, size, _, _ in self.vibrations)
@@ -168,8 +168,8 @@ def counts(
 ) -> tuple[Counts, Counts]:
     """ADC counts of an ideal encoder, 12 bits, half a count of noise.
 
-    ``exact``: tracks whose quotient is the phase, as after a reference measurement (Table 1 of the paper).
-    ``most_noise``, standard deviations: a declared phase error bounds the error of every sample.
+    ``exact``: tracks for which Table 1 of the paper gives the exact phase, as after a reference measurement.
+    ``most_noise``: limit of the noise, standard deviations: every sample must keep a declared phase error.
     """
     angle = 2.0 * np.pi * np.mod(x, 1.0)
     if exact:
@@ -183,7 +183,7 @@ def counts(
 
 
 def within_half(value: float, whole: float) -> float:
-    """``value`` modulo ``whole``, within half of it around 0."""
+    """``value`` modulo ``whole``, wrapped to ± ``whole`` / 2."""
     return (value + whole / 2) % whole - whole / 2
 
 
@@ -195,7 +195,7 @@ def ideal_tracks(phase: Array) -> tuple[Array, Array]:
 def exact_table(
     tracks: Callable[[Array], tuple[Array, Array]] = ideal_tracks, entries: int = TABLE_ENTRIES
 ) -> CorrectionTable:
-    """What a reference measurement without error gives for these tracks of a phase."""
+    """Table of an error-free reference measurement with these tracks over the phase."""
     truth = np.arange(-8192, 65536 + 8192) / 65536.0
     raw = phase_in_cycle(*tracks(truth))
     raw = raw - np.rint(raw - truth)
@@ -204,11 +204,11 @@ def exact_table(
 
 @cache
 def table_of(phase_error: float) -> CorrectionTable | None:
-    """None where Table 1 alone keeps this error; else the table that corrects it."""
+    """The table required for this phase error; None if Table 1 alone suffices."""
     return None if phase_error >= UNCORRECTED else exact_table()
 
 
 def phases(sine: Counts, cosine: Counts, table: CorrectionTable | None) -> Array:
-    """Phase of each sample as a chain with this table computes it, cycles."""
+    """Phase of each sample, computed by a chain with this table, cycles."""
     raw = phase_in_cycle(sine.astype(np.float64), cosine.astype(np.float64))
     return raw if table is None else table(raw)

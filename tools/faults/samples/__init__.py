@@ -1,1 +1,1 @@
-"""Faults of samples, of the tracks and of the cycle count: each kind on random motions, against the truth."""
+"""Faults of samples, of the tracks and of the cycle count, on random motions, compared with the truth."""

@@ -3,9 +3,9 @@
     python -m tools.faults.samples.campaign tracks|count [--episodes N] [--class FAULT] [--setup NAME]
     python -m tools.faults.samples.campaign count --show "KIND:SETUP:SEED:NUMBER"
 
-docs/evidence.md says what the cells mean. Machines turn at up to 125 cycles per sample. Set-ups of ``count``
+docs/evidence.md explains the cells. Machines turn at up to 125 cycles per sample. Set-ups of ``count``
 are accelerations. The result depends on the seeds only. Exit status 1 if a goal is missed. With
-``--exceed F`` the machine does F times what is declared.
+``--exceed F`` the machine accelerates F times as much as declared.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ DETECTION_GOAL = 0.99
 
 
 def count_text(sums: Sums) -> str:
-    """silent, kept %, samples not valid; in brackets what the declaration does not cover."""
+    """silent, kept %, samples not valid; in brackets: not covered by the declaration."""
     kept = f" {sums.percent('kept'):.0f} {sums['not valid'] / max(1, sums['kept']):.1f}"
     text = f"{sums['silent'] + sums['beyond']}{kept}"
     return text if sums["declared"] else f"({text})"
 
 
 def tracks_text(sums: Sums) -> str:
-    """Seen of those that matter, and lost, %."""
+    """Per cent detected of the faults that matter, and per cent lost."""
     return f"{sums.percent('seen', 'matters'):.1f} {sums.percent('lost'):.1f}"
 
 
@@ -64,8 +64,8 @@ class Played(NamedTuple):
 class Player:
     """Draws, plays and judges.
 
-    exceed     the machine does so many times what is declared
-    adapt      with the drift of the tracks followed (2002:08)
+    exceed     acceleration of the machine / declared acceleration
+    adapt      with adaptation to the drift of the tracks (2002:08)
     """
 
     table: str
@@ -124,7 +124,7 @@ def misses(cell: Cell, sums: Sums) -> Iterator[str]:
 
 
 def table_of(text: Callable[[Sums], str], results: Results) -> Rows:
-    """Faults below each other, set-ups side by side; then all: silent as declared, and beyond."""
+    """Table of faults (rows) and set-ups (columns); then silent errors of all, as declared and beyond."""
     head, *rows = engine.by_setup(results, text)
     sums = [total(results, setup=one) for one in head[1:]]
     silent = [f"{one['silent']} of {one['declared']}" for one in sums]
@@ -134,7 +134,7 @@ def table_of(text: Callable[[Sums], str], results: Results) -> Rows:
 
 
 def show(name: str, player: Player) -> str:
-    """ValueError if there is no such fault or set-up."""
+    """Text on one episode. ValueError for an unknown fault or set-up."""
     kind, setup, seed, number = name.rsplit(":", 3)
     if Cell(kind, setup) not in campaign(player).cells():
         raise ValueError(f"there is no {kind}:{setup}")

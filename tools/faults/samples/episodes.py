@@ -1,7 +1,7 @@
-"""What is declared of a machine, kinds of fault, and their episodes, played on a chain sample by sample.
+"""Declarations of a machine, kinds of fault, and their episodes, played on a chain sample by sample.
 
-A sample is good, missing (no sample came in its interval), flagged (the interface says that it is bad) or bad
-without a sign of it: of the right amplitude, with any phase. A kind may also change the instants.
+A sample is good, missing (none in its interval), flagged (the interface marks it as bad) or bad without a
+flag: of correct amplitude, at a random phase. A kind may also change the instants.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tools.faults.machine import (
 COAST_SAMPLES = 8
 MOST_BAD = 3
 BEFORE = (14, 31)  # good samples before the fault
-AFTER = 48  # good ones after its begin: more than the 32 intervals of doubt, and a fault
+AFTER = 48  # samples after its begin: more than the fault and the 32 intervals of doubt
 VALID, LOST = 1, 4
 States = npt.NDArray[np.int8]
 
@@ -42,31 +42,31 @@ class Declared:
     """The largest acceleration, cycles per interval^2.
 
     phase_error     largest error of the phase of a good sample, cycles
-    bad_samples     how many neighbouring samples may be bad without a sign of it; None: see ``bad``
-    samples_per_sync  intervals are those from sample to sample
+    bad_samples     number of successive samples that may be bad without a flag; None: see ``bad``
+    samples_per_sync  samples for each SYNC; intervals are sampling intervals
     """
 
     acceleration: float
     phase_error: float = PHASE_ERROR_CYCLES
     bad_samples: int | None = None
     samples_per_sync: int = 1
-    wrong_cycles: ClassVar[float] = 0.5  # a valid position that is off by that much is wrong
+    wrong_cycles: ClassVar[float] = 0.5  # error from which a valid position is wrong
 
     @property
     def bound(self) -> float:
-        """Of a legal motion, cycles per interval^2."""
+        """Largest acceleration of a legal motion, cycles per interval^2."""
         return self.acceleration
 
     @property
     def bad(self) -> int:
-        """``bad_samples``, by default as many as cannot do harm at twice the acceleration, 1 to 3."""
+        """``bad_samples``; default: the number that is harmless at twice the acceleration, 1 to 3."""
         if self.bad_samples is not None:
             return self.bad_samples
         return max(1, min(MOST_BAD, samples_without_harm(2.0 * self.acceleration)))
 
     @property
     def config(self) -> ChainConfig:
-        """As far as a :class:`ChainConfig` can say it: the rest is in :attr:`limits`."""
+        """The part that a :class:`ChainConfig` can express; :attr:`limits` has all."""
         return ChainConfig(
             coast_samples=COAST_SAMPLES,
             max_acceleration_cycles=self.acceleration,
@@ -80,7 +80,7 @@ class Declared:
         return replace(self.config.chain_limits, samples_per_sync=self.samples_per_sync)
 
     def chain(self) -> SignalChain:
-        """One for this machine: coasts for 8 samples, otherwise the defaults."""
+        """A chain for this machine, which coasts for 8 samples, otherwise with defaults."""
         chain = SignalChain(self.config, table_of(self.phase_error))
         chain.set_limits(self.limits)
         return chain
@@ -97,11 +97,11 @@ class State(IntEnum):
 class Kind:
     """A kind of fault.
 
-    draw        the states of the samples of one episode, from the one where the fault begins: (rng, samples)
-    bad         the most neighbouring samples that are bad without a sign of it; None: more than one row of
-                them in one doubt, or more than can be declared
-    jitter      of all instants, intervals, uniform
-    stall       a pause of so many intervals before the first sample of the fault: shortest and longest
+    draw        (rng, samples): states of the samples of one episode, from the begin of the fault on
+    bad         most successive samples that are bad without a flag; None: several such runs in one doubt, or
+                more than can be declared
+    jitter      uniform jitter of all instants, ±, intervals
+    stall       shortest and longest pause before the first sample of the fault, intervals
     """
 
     draw: Callable[[Rng, int], States]
@@ -110,7 +110,7 @@ class Kind:
     stall: tuple[float, float] | None = None
 
     def is_covered(self, declared: Declared) -> bool:
-        """What is declared holds during this fault, so that no position may be valid and wrong."""
+        """Whether the declaration covers this fault, so that no position may be valid and wrong."""
         return self.bad is not None and self.bad <= declared.bad
 
     @property
@@ -119,7 +119,7 @@ class Kind:
 
 
 def _row(samples: int, *parts: tuple[State, int]) -> States:
-    """Samples of these states, one after the other, then good ones."""
+    """Runs of samples with these states, then good ones."""
     states = np.repeat([state for state, _ in parts], [count for _, count in parts])[:samples]
     return np.pad(states, (0, samples - len(states))).astype(np.int8)
 
@@ -129,7 +129,7 @@ def _of(state: State, *lengths: int) -> Callable[[Rng, int], States]:
 
 
 def _gaps(rng: Rng, samples: int) -> States:
-    """Two or three gaps of one or two samples, one to three good ones between them."""
+    """Two or three gaps of one or two samples, with one to three good samples between them."""
     parts: list[tuple[State, int]] = []
     for _ in range(int(rng.integers(2, 4))):
         parts += [(State.MISSING, int(rng.integers(1, 3))), (State.GOOD, int(rng.integers(1, 4)))]
@@ -143,7 +143,7 @@ def _two_glitches(rng: Rng, samples: int) -> States:
 
 
 def _near(rng: Rng, samples: int) -> States:
-    """A glitch and missing or flagged samples, up to five good ones between them, in either order."""
+    """A glitch and missing or flagged samples, in either order, with up to five good samples between them."""
     other = State.MISSING if rng.uniform() < 0.5 else State.FLAGGED
     parts = [(State.BAD, int(rng.integers(1, 4))), (other, int(rng.integers(1, 3)))]
     if rng.uniform() < 0.5:
@@ -172,11 +172,11 @@ KINDS: dict[str, Kind] = {
 
 @dataclass(frozen=True)
 class Episode:
-    """What the chain gets, and what is true: arrays over the samples, one interval apart where not given.
+    """Input of the chain, and the truth: arrays over the samples.
 
     fault     index of the first sample that may be bad
-    truth     cycles; ``instants`` in intervals
-    phase     of the counts, as the chain computes it (of missing samples as well: not used)
+    truth     true position, cycles; ``instants`` in intervals
+    phase     phase of the counts, computed by the chain (unused for missing samples)
     """
 
     declared: Declared
@@ -192,9 +192,9 @@ class Episode:
 
 @dataclass(frozen=True)
 class Published:
-    """What the chain said of each sample: position (cycles) minus that of the true count, and status word.
+    """Output of the chain for each sample: position (cycles) relative to the true count, and status word.
 
-    A sample without one has the status 0.
+    The status is 0 if there is no output.
     """
 
     position: Array
@@ -209,7 +209,7 @@ class Published:
 def draw(kind: Kind, declared: Declared, episodes: int, rng: Rng) -> list[Episode]:
     per_sync = declared.samples_per_sync
     at = rng.integers(*BEFORE, episodes)
-    at += -at % per_sync  # what is missing or flagged is so for all samples of a SYNC
+    at += -at % per_sync  # missing and flagged concern all samples of a SYNC
     samples = BEFORE[1] + per_sync + AFTER
     samples += -samples % per_sync
     state = np.zeros((episodes, samples), np.int8)
@@ -234,7 +234,7 @@ def draw(kind: Kind, declared: Declared, episodes: int, rng: Rng) -> list[Episod
 
 
 def _spread(state: States, per_sync: int) -> States:
-    """What is missing or flagged concerns a SYNC: all its samples, if one of them."""
+    """Extend missing and flagged from one sample to all samples of its SYNC."""
     if per_sync == 1:
         return state
     groups = state[: len(state) // per_sync * per_sync].reshape(-1, per_sync)
@@ -244,7 +244,7 @@ def _spread(state: States, per_sync: int) -> States:
 
 
 def _faulty(state: States, sine: Counts, cosine: Counts, rng: Rng) -> tuple[Counts, Counts]:
-    """The counts with the faults in them; flagged samples have any counts."""
+    """The counts with the faults; flagged samples have random counts."""
     replaced = (state == State.BAD) | (state == State.FLAGGED)
     for_all = counts(rng.uniform(size=state.shape), rng)
     return np.where(replaced, for_all[0], sine), np.where(replaced, for_all[1], cosine)
@@ -263,7 +263,7 @@ def play(
     chain: SignalChain | None = None,
     before: Callable[[SignalChain, int], None] | None = None,
 ) -> Published:
-    """Through the public interface of the chain; ``before`` is called before each SYNC, with its sample."""
+    """Play an episode on a chain; ``before`` is called before each SYNC, with the number of its sample."""
     chain = chain_for(episode) if chain is None else chain
     per_sync = episode.declared.samples_per_sync
     samples = len(episode.truth)

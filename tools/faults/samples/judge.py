@@ -1,14 +1,14 @@
-"""What became of an episode: silent errors, with the proof, and availability.
+"""Verdict on an episode: silent errors, with the proof, and availability.
 
-A position is wrong if it is valid and ``wrong_cycles`` or more from the true one. It is *excused* if there is
-a legal motion through all samples so far that nothing flagged (:class:`LegalMotions`), and all of these are
-at that position: then the samples are those of a healthy machine that moved so (docs/supervision.md). Every
-other wrong position is *silent*: where legal motions to different positions fit, it was guessed.
+A position is wrong if it is valid and ``wrong_cycles`` or more from the true one. It is *excused* if at least
+one legal motion fits all unflagged samples so far (:class:`LegalMotions`), and all such motions lead to that
+position: the samples are then those of a healthy machine with this motion (docs/supervision.md). Every
+other wrong position is *silent*; if legal motions to different positions fit, it was guessed.
 
-Whether samples can be those of a machine within its limits is decided by linear programming. Nodes are the
-instants of the samples, and virtual ones about one interval apart where samples are missing. A motion with
-the bound B is legal if the second divided differences of its nodes, times 2, are at most B; it fits the
-samples if it is within the phase error of each. This shares nothing with the estimator.
+Linear programming decides whether samples can be those of a machine within its limits. Nodes are the instants
+of the samples, and virtual instants about one interval apart where samples are missing. A motion is legal if
+twice the second divided differences of its nodes are at most the bound B; it fits the samples if it is within
+the phase error of each. This file shares no code with the estimator.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from scipy.optimize import linprog
 from tools.faults.machine import Array
 from tools.faults.samples.episodes import LOST, Episode, Published, State
 
-LEAD = 4  # good samples before the fault, from which the motions are followed
-HOLE = 1.5  # intervals between two samples, from which on there are virtual nodes
-SLACK = 1e-7  # of the bound, what the solver is exact to
+LEAD = 4  # good samples before the fault with which the motions begin
+HOLE = 1.5  # intervals between two samples beyond which virtual nodes are inserted
+SLACK = 1e-7  # accuracy of the solver
 MOST_PATHS = 3000
 
 
 def nodes_of(instants: Array) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Instants of all nodes, and which of them are those of the samples."""
+    """Instants of all nodes, and the indices of the nodes at samples."""
     gaps = np.diff(instants)
     parts = np.where(gaps > HOLE, np.rint(gaps), 1.0).astype(np.int64)
     places = np.concatenate(([0], np.cumsum(parts)))
@@ -40,7 +40,7 @@ def nodes_of(instants: Array) -> tuple[Array, npt.NDArray[np.int64]]:
 
 
 def difference_rows(nodes: Array) -> Array:
-    """Matrix that takes positions at the nodes to 2 times their second divided differences."""
+    """Matrix that converts positions at the nodes to twice their second divided differences."""
     count = len(nodes) - 2
     rows = np.zeros((max(0, count), len(nodes)))
     for n in range(count):
@@ -53,8 +53,8 @@ def difference_rows(nodes: Array) -> Array:
 def least_bound(instants: Array, samples: Array, phase_error: float | Array) -> float:
     """The least bound B of a motion within ``phase_error`` of these positions, cycles per interval^2.
 
-    ``instants``, intervals, increase; shapes (n,), of ``phase_error`` too if samples
-    differ in it. 0.0 for two samples or fewer.
+    ``instants``, intervals, must increase; shapes (n,), for ``phase_error`` a number or (n,).
+    0.0 for two samples or fewer.
     """
     nodes, places = nodes_of(instants)
     rows = difference_rows(nodes)
@@ -85,9 +85,9 @@ def is_legal(instants: Array, samples: Array, phase_error: float, bound: float) 
 
 
 def window(instants: Sequence[float], to: float, phase_error: float, bound: float) -> tuple[Array, float]:
-    """Weights of the last samples for the position at ``to``, and how far from it a sample can be.
+    """Weights of the last samples for the predicted position at ``to``, and the largest distance of a sample.
 
-    ``instants`` are those of the last two samples, increasing.
+    ``instants`` of the last two samples, increasing.
     """
     first, second = instants
     weights = np.array([(to - second) / (first - second), (to - first) / (second - first)])
@@ -96,10 +96,10 @@ def window(instants: Sequence[float], to: float, phase_error: float, bound: floa
 
 
 class LegalMotions:
-    """Every legal motion through all samples that nothing flagged, from one that is known to be right.
+    """All legal motions through the unflagged samples, starting from a known motion.
 
-    A residual is held against its window, as eq. 12 does; what stands around a hole against the linear
-    program, so that an estimator that keeps the windows of all samples publishes no other motion.
+    A sample is checked by its residual, as in eq. 12; samples around a hole by the linear program.
+    So an estimator that checks the windows of all samples publishes one of these motions.
     """
 
     def __init__(self, phase_error: float, bound: float) -> None:
@@ -108,7 +108,7 @@ class LegalMotions:
         self.paths: list[tuple[float, ...]] = []
         self.overflow = False
         self._run = 0  # samples since the last hole
-        self._checked_from = 0  # the samples that the program has to see while the run is short
+        self._checked_from = 0  # first sample for the linear program while the run is short
 
     def begin(self, instants: Sequence[float], positions: Sequence[float]) -> None:
         self.instants, self.paths = list(instants), [tuple(positions)]
@@ -134,7 +134,7 @@ class LegalMotions:
             if len(paths) > MOST_PATHS:
                 self.overflow = True
                 paths = paths[:MOST_PATHS]
-        if self._run > 2:  # what is equal in its last samples has the same future
+        if self._run > 2:  # motions with equal last samples have the same future: keep one
             paths = list({one[-2:]: one for one in reversed(paths)}.values())
         self.paths = paths
 
@@ -156,13 +156,13 @@ SILENT = (Cause.GUESSED, Cause.ILLEGAL)
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of an episode.
+    """Verdict on an episode.
 
-    early         not valid, or wrong, before the fault: the episode counts no further
-    wrong         the causes of its wrong positions, by sample
-    kept          at the end valid and right
-    not_valid     samples from the fault on without the valid bit
-    lost          at the end
+    early         not valid, or wrong, before the fault: the episode is not evaluated further
+    wrong         causes of its wrong positions, by sample
+    kept          valid and right at the end
+    not_valid     number of samples from the fault on without the valid bit
+    lost          lost at the end
     """
 
     early: bool
@@ -204,7 +204,7 @@ def motions_before(episode: Episode) -> LegalMotions:
 
 
 def received(episode: Episode, last: int) -> Iterator[tuple[int, float, float]]:
-    """Number, instant and phase of the samples from the fault to ``last`` that came and were not flagged."""
+    """Number, instant and phase of samples from the fault to ``last``, without missing and flagged ones."""
     for k in range(episode.fault, last + 1):
         if episode.state[k] not in (State.MISSING, State.FLAGGED):
             yield k, float(episode.instants[k]), float(episode.phase[k])
@@ -229,7 +229,7 @@ def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[in
 
 
 def proof(episode: Episode, wrong: int) -> str:
-    """The motions that fit all samples up to ``wrong`` that nothing flagged, and the least bound of each."""
+    """The motions that fit all unflagged samples up to ``wrong``, and the least bound of each."""
     motions = motions_before(episode)
     for _, instant, phase in received(episode, wrong):
         motions.add(instant, phase)

@@ -1,7 +1,7 @@
-"""Faults of the tracks: an encoder with every error of a mediocre one, its table, and what breaks.
+"""Faults of the tracks of a mediocre encoder with a correction table.
 
-Each kind draws its sizes at random. A fault counts (``matters``) if it moves the phase by more than a quarter
-of a cycle, takes it away, or a wrong position was called valid.
+Each kind draws its parameters at random. A fault counts (``matters``) if it shifts the phase by more than
+0.25 cycle, makes it missing, or if a wrong position was valid.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ from tools.faults.samples.judge import Verdict, judge
 
 ENCODER: Encoder = demo_encoder()
 A = ENCODER.amplitude_counts
-BEFORE, CLEAN_AFTER, TO_THE_END = (100, 301), 100, 200  # samples
+BEFORE, CLEAN_AFTER, TO_THE_END = (100, 301), 100, 200  # samples before, after and during (if to the end)
 LONGEST_SHORT = 60
-CREEPING = (0.0, 0.0, 0.002, 0.02, 0.15, 0.3)  # cycles per sample, of one machine in four
+CREEPING = (0.0, 0.0, 0.002, 0.02, 0.15, 0.3)  # speeds of one machine in four, cycles per sample
 FLAGGED = 1 << 4 | 1 << 5 | 1 << 6 | 1 << 11  # amplitude, clipped, missed, frozen
 SOON_SAMPLES = 3
-# As fast as an adaptation can be: the interval is taken for a longer one, so that it learns from each sample.
+# The fastest adaptation; a long interval is pretended, so that it learns from each sample.
 ADAPT, ADAPT_INTERVAL_S = AdaptConfig(rate_per_hour=10.0), 0.01
-ADAPT_SLACK = 0.004  # of a residual: 0.001 cycle of each phase
-# Before an episode it has followed half of what it may.
+ADAPT_SLACK = 0.004  # allowance of a residual: 4 x 0.001 cycle of a phase
+# Drift at the begin of an episode: half of the permitted one.
 FOLLOWED = FollowedDrift(0.075 * A, -0.075 * A, 0.12, 0.025)
 
 
 @dataclass(frozen=True)
 class Setting(Declared):
-    """Limits of the chain, and what the machine does. A motion is legal by its phases alone.
+    """Limits of the chain, and acceleration of the machine. Only its phases decide whether a motion is legal.
 
     residual_limit           cycles
-    amplitude                lowest and highest, as parts of the nominal one; None: the defaults
-    frozen_samples           repeats in a row that are taken for a dead converter; 0: none
-    conditioned              offsets, gains and phase error of the tracks are known to the chain
-    adapt                    drift is followed, and half of what is allowed was already
+    amplitude                lowest and highest, relative to the nominal one; None: the defaults
+    frozen_samples           successive repeats that indicate a frozen converter; 0: off
+    conditioned              the chain knows offsets, gains and phase error of the tracks
+    adapt                    the chain adapts to drift, and has followed half of the permitted one
     """
 
     phase_error: float = 0.0
@@ -61,7 +61,7 @@ class Setting(Declared):
 
     @property
     def bound(self) -> float:
-        """The phases of an adaptation are those of what it has learned, the judge's those of the truth."""
+        """The residual limit; with adaptation wider, as its phases differ from those of the judge."""
         return self.residual_limit + (ADAPT_SLACK if self.adapt else 0.0)
 
     @cached_property
@@ -74,7 +74,7 @@ class Setting(Declared):
 
     @cached_property
     def calibrated(self) -> Conditioning:
-        """That of a reference measurement before the drift: with :data:`FOLLOWED` it is that of now."""
+        """Conditioning before the drift: together with :data:`FOLLOWED` it gives the present one."""
         used = now = self.config.conditioning
         for _ in range(20):
             pairs = zip(used.values, now.values, FOLLOWED.removed_by(used).values, strict=True)
@@ -83,7 +83,7 @@ class Setting(Declared):
 
     @cached_property
     def table(self) -> CorrectionTable:
-        """The table that a reference measurement without error would give."""
+        """The table of an error-free reference measurement."""
         return exact_table(lambda truth: self.conditioning.apply(*ENCODER.tracks(truth)))
 
     @cached_property
@@ -99,7 +99,7 @@ class Setting(Declared):
             adapt=ADAPT if self.adapt else False,
             interval_s=ADAPT_INTERVAL_S if self.adapt else 0.0,
             bad_samples=3,
-            # It is not known, but what is assumed while in doubt has to hold for the machine.
+            # The acceleration is not declared, but the one assumed while in doubt must hold for the machine.
             doubt_acceleration_cycles=max(DOUBT_ACCELERATION, min(self.acceleration, 0.5)),
         )
 
@@ -113,12 +113,12 @@ class Setting(Declared):
         return chain
 
     def phases(self, sine: Counts, cosine: Counts) -> tuple[Array, Array]:
-        """Corrected phase and amplitude of these counts, as the chain computes them."""
+        """Corrected phase and amplitude of these counts, computed as in the chain."""
         s, c = self.conditioning.apply(sine.astype(np.float64), cosine.astype(np.float64))
         return self.table(phase_in_cycle(s, c)), np.sqrt(s * s + c * c)
 
     def is_legal(self, episode: Episode) -> bool:
-        """All samples are those of a healthy machine: no supervision can flag them (README.md)."""
+        """Whether a healthy machine can give all these samples: no supervision can flag them."""
         limits, inside = self.config.limits, episode.state == State.GOOD
         for track in (episode.sine, episode.cosine):
             inside &= (track > -limits.full_scale_counts) & (track < limits.full_scale_counts - 1)
@@ -140,7 +140,7 @@ SETTINGS = {
 
 @dataclass(frozen=True)
 class TrackFault:
-    """``samples`` that it lasts; None: 1..60 samples or to the end of the episode, half and half."""
+    """A fault of ``samples`` duration; None: 1..60 samples or to the end of the episode, equally likely."""
 
     draw: Callable[[Rng], Fault]
     samples: int | None = None
@@ -152,7 +152,7 @@ class TrackFault:
 
 
 def draw(kind: TrackFault, setting: Setting, episodes: int, rng: Rng) -> Iterator[Episode]:
-    """A clean lead, a fault, and clean samples again if the fault is a short one."""
+    """Episodes: clean samples, a fault, and clean samples again unless it lasts to the end."""
     at = rng.integers(*BEFORE, episodes)
     samples = BEFORE[1] + TO_THE_END
     u = accelerations(setting.acceleration, rng, at, samples)
@@ -181,12 +181,12 @@ def _episode(
 
 
 def judge_tracks(setting: Setting, episode: Episode, published: Published) -> tuple[Verdict, dict[str, int]]:
-    """What became of it, and
+    """The verdict on an episode, and
 
-    declared        no more samples in a row were bad and not flagged than cannot do harm, and no missing or
-                    flagged ones are beside them (docs/supervision.md)
-    seen, soon      the fault was flagged, and after at most three samples
-    legal           not flagged, and the samples are those of a healthy machine
+    declared        the number of successive bad, unflagged samples was harmless, and no missing or flagged
+                    ones are next to them (docs/supervision.md)
+    seen, soon      the fault was flagged; within three samples
+    legal           it was not flagged, and a healthy machine can give these samples
     """
     start, status = episode.fault, published.status
     flagged = (status & FLAGGED) != 0
@@ -212,14 +212,14 @@ def judge_tracks(setting: Setting, episode: Episode, published: Published) -> tu
 
 
 def excess_noise(signal: Signal, rms_counts: float) -> Fault:
-    """Gaussian noise added to each track, independent of the other."""
+    """Independent Gaussian noise added to both tracks."""
     return faults.changed(
         lambda tracks, full, rng: tracks + rng.normal(0.0, rms_counts, tracks.shape), signal
     )
 
 
 def phase_glitch(amplitude_counts: float, common: bool = False) -> Fault:
-    """Samples of good amplitude at any phase: one random error for all (``common``), or one for each."""
+    """Samples of good amplitude at a wrong phase: one random error for all (``common``), or one for each."""
 
     def change(tracks: Array, full: int, rng: Rng) -> Array:
         angle = rng.uniform(0.0, 2.0 * np.pi, 1 if common else tracks.shape[1])
@@ -245,7 +245,7 @@ def lost_samples() -> Fault:
 
 
 def repeated_samples() -> Fault:
-    """Every sample comes twice, the first of them the last good one: a converter too slow."""
+    """Every sample occurs twice, beginning with the last good one: the converter is too slow."""
 
     def places(span: slice) -> Counts:
         here = np.arange(span.start, span.stop)
@@ -256,7 +256,7 @@ def repeated_samples() -> Fault:
 
 
 def late_samples() -> Fault:
-    """Every sample comes an interval later than it was taken; the receiver does not know it."""
+    """Every sample arrives one interval late, which the receiver does not know."""
     return faults.moved(lambda span: np.maximum(np.arange(span.start, span.stop) - 1, faults.last_good(span)))
 
 
@@ -269,11 +269,11 @@ def _nominal(draw: Callable[[Rng, float], Fault]) -> Callable[[Rng], Fault]:
 
 
 def _faults(name: str, draw: Callable[[Rng], Fault], *lengths: int | None) -> dict[str, TrackFault]:
-    """One that lasts so many samples each; None: see :class:`TrackFault`."""
+    """A fault for each of these ``lengths``, samples; None: see :class:`TrackFault`."""
     return {name if n is None else f"{name}, {n}": TrackFault(draw, n) for n in lengths}
 
 
-# Those that `canfb plan --coverage` computes, drawn in the same way, and others.
+# The faults of `canfb plan --coverage`, drawn in the same way, and others.
 TRACK_FAULTS: dict[str, TrackFault] = {
     **{name: TrackFault(_nominal(drawn)) for name, drawn in COMPUTED.items() if drawn},
     **_faults(

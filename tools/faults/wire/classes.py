@@ -1,7 +1,7 @@
 """The classes of wire faults: each changes a healthy plan from its slot ``fault`` on.
 
-A change is a function of the plan, or several in a row. Those of one line are made of the functions at the
-head of this page; an aimed class brings its own machine (:mod:`tools.faults.wire.clocks`).
+A class is a sequence of changes, i.e. functions of the plan. One-line changes are composed from the functions
+at the top of this file; an aimed class has its own machine (:mod:`tools.faults.wire.clocks`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def between(least: int, most: int) -> Callable[[Plan], int]:
 
 
 def periods_us(least: float, most: float) -> Callable[[Plan], float]:
-    """Of the SYNC, as microseconds."""
+    """A random time between ``least`` and ``most`` periods of SYNC, in microseconds."""
     return lambda plan: float(plan.rng.uniform(least, most)) / plan.us
 
 
@@ -46,7 +46,7 @@ def slots(
     skip: int = 0,
     **fields: Any,
 ) -> Change:
-    """Set these fields of slots, from the fault on; None: of all. A value may be drawn for each slot."""
+    """Set these fields of ``count`` slots from the fault on; None: all. A function draws a value per slot."""
 
     def change(plan: Plan) -> None:
         apart, number, first = drawn(step, plan), drawn(count, plan), plan.fault + skip
@@ -70,7 +70,7 @@ def any_of(*changes: Change) -> Change:
 
 
 def at_the_limit(plan: Plan) -> None:
-    """0.95 of the acceleration that 2010:02 allows, under SYNC jitter."""
+    """0.95 of the acceleration that 2010:02 allows, with SYNC jitter."""
     limit = plan.options.limit = 0.15
     plan.motion.pieces.clear()
     for begin in range(20, len(plan.slots), 60):
@@ -85,7 +85,7 @@ def stall(plan: Plan) -> None:
 
 
 def lose_one_in_the_burst(plan: Plan) -> None:
-    """One PDO, or one SYNC, of those that wait."""
+    """Lose one of the PDOs or SYNCs that wait during the stall."""
     begin, end = plan.stalls[0]
     at = int(plan.rng.integers(int(begin), max(int(begin) + 1, int(end))))
     if plan.rng.integers(2):
@@ -95,7 +95,7 @@ def lose_one_in_the_burst(plan: Plan) -> None:
 
 
 def pulse_and_some_lost(plan: Plan) -> None:
-    """Up to 0.25 cycle/T^2 for 3 to 9 samples around those that are lost."""
+    """Acceleration of up to 0.25 cycle/T^2 for 3 to 9 samples around the lost ones."""
     plan.options.limit = (None, 0.25)[int(plan.rng.integers(2))]
     size = float(plan.rng.uniform(0.13, 0.25)) * float(plan.rng.choice((-1.0, 1.0)))
     begin = plan.fault + 1.0 + float(plan.rng.integers(-5, 2))
@@ -104,7 +104,7 @@ def pulse_and_some_lost(plan: Plan) -> None:
 
 
 def pulse_in_the_gap(plan: Plan) -> None:
-    """A short pulse near the limit, just where the samples are missing: another motion may look smoother."""
+    """A short pulse near the limit while samples are missing: a wrong motion may look smoother."""
     rng = plan.rng
     limit = plan.options.limit = (0.3, 0.25, 0.15)[int(rng.integers(3))]
     lost = int(rng.integers(1, 4))
@@ -115,7 +115,7 @@ def pulse_in_the_gap(plan: Plan) -> None:
 
 
 def time_lost(plan: Plan) -> None:
-    """The PDO with the sample time alone: once, or now and then."""
+    """Lose only the PDO with the sample time: once, or repeatedly."""
     chance = float(plan.rng.choice((0.0, 0.1)))
     first, *later = plan.slots[plan.fault :]
     first.times_lost = True
@@ -150,7 +150,7 @@ def event_timer(plan: Plan) -> None:
 
 
 def odd_sync(plan: Plan) -> None:
-    """SYNCs of a length, or with a counter, that this set-up does not have."""
+    """SYNCs with a length or counter that does not fit this set-up."""
     kind = int(plan.rng.integers(2))
     length = int(plan.rng.choice((1, 4, 60)))
     for number, slot in enumerate(plan.slots[plan.fault : plan.fault + length], plan.fault):
@@ -165,7 +165,7 @@ def odd_sync(plan: Plan) -> None:
 
 
 def doubled(least_us: float, most: Callable[[Plan], float]) -> Change:
-    """SYNCs that the module, the interface, or both hear twice."""
+    """SYNCs that the module, the interface, or both receive twice."""
 
     def again(plan: Plan) -> list[tuple[float, bool, bool]]:
         to = int(plan.rng.integers(3))
@@ -175,13 +175,13 @@ def doubled(least_us: float, most: Callable[[Plan], float]) -> Change:
 
 
 def second_producer(plan: Plan) -> None:
-    """Another SYNC producer is there for a while, half a period or so beside the first."""
+    """A second SYNC producer for some time, shifted by about half a period."""
     beside = float(plan.rng.choice((0.5, 0.5, plan.rng.uniform(0.25, 0.75)))) / plan.us
     slots(one_of(1, 5, 60), again=lambda _: [(beside, True, True)])(plan)
 
 
 def period_changes(plan: Plan) -> None:
-    """Every second, or every second and third, SYNC is left out from now on: another period."""
+    """From now on only every second or third SYNC is sent: the period changes."""
     keep = int(plan.rng.choice((2, 3)))
     for number, slot in enumerate(plan.slots[plan.fault :]):
         slot.produced = number % keep == 0
@@ -193,7 +193,7 @@ def pdo_again(plan: Plan) -> list[float]:
 
 
 def pdo_replayed(plan: Plan) -> None:
-    """The interface sends a PDO of some cycles ago again, between two others or in place of one."""
+    """The interface repeats an old PDO, between two others or instead of one."""
     back = int(plan.rng.integers(1, 6))
     plan.slots[plan.fault - back].pdo_again_us.append((back + float(plan.rng.uniform(0.0, 0.7))) / plan.us)
     if plan.rng.integers(2):
@@ -201,7 +201,7 @@ def pdo_replayed(plan: Plan) -> None:
 
 
 def pdos_swapped(plan: Plan) -> None:
-    """Two PDOs late by one and two cycles, in either order."""
+    """Two PDOs are late by about one and two periods, in either order."""
     lates = (1.0, 2.0) if plan.rng.integers(2) else (2.0, 1.0)
     gap = int(plan.rng.integers(1, 4))
     for at, late in zip((0, gap), lates, strict=True):
@@ -213,7 +213,7 @@ def any_stamp(plan: Plan) -> int:
 
 
 def one_bad_stamp(plan: Plan) -> None:
-    """Any, zero, late or early by whole periods, or by 1 us to 1 s."""
+    """One wrong sample time: random, zero, or wrong by whole periods or by 1 us to 1 s."""
     slot = plan.slots[plan.fault]
     kind = int(plan.rng.integers(5))
     if kind < 2:
@@ -225,7 +225,7 @@ def one_bad_stamp(plan: Plan) -> None:
 
 
 def clock_steps(plan: Plan) -> None:
-    """The interface's clock jumps and stays there: it was started again."""
+    """The clock of the interface steps once, as after a restart."""
     step = any_stamp(plan) if plan.rng.integers(2) else int(plan.rng.integers(-200_000, 200_000))
     slots(None, stamp_add=step)(plan)
 
@@ -235,7 +235,7 @@ def clock_stands(plan: Plan) -> None:
 
 
 def interface_restarts(plan: Plan) -> None:
-    """The interface is away for a while; its clock begins again."""
+    """The interface is silent for some time; its clock restarts."""
     back = int(plan.rng.integers(1, 30))
     slots(None, stamp_add=any_stamp(plan))(plan)
     slots(back, stamp_add=0, pdo_lost=True)(plan)
@@ -246,7 +246,7 @@ def first_pulse_false(plan: Plan) -> None:
 
 
 def pause(plan: Plan) -> None:
-    """PRE-OPERATIONAL, STOPPED or a communication reset; the interface and the SYNC go on."""
+    """PRE-OPERATIONAL, STOPPED or a communication reset; interface and SYNC continue."""
     begin = plan.fault + float(plan.rng.uniform())
     end = begin + float(plan.rng.choice((1.0, 3.0, 10.0, 40.0)))
     plan.actions.append((begin, "nmt", bytes([int(plan.rng.choice((128, 2, 130)))])))
@@ -262,7 +262,7 @@ def bus_off(plan: Plan) -> None:
 
 
 def settings_written(plan: Plan) -> None:
-    """What is declared changes while the machine moves, and holds for what it does."""
+    """Settings are written while the machine moves, all of which the machine still keeps."""
     rng, interval_s = plan.rng, plan.options.interval_s
     limit = max(plan.options.limit or 0.0, UNKNOWN_LIMIT) * float(rng.uniform(1.2, 3.0))
     settings = (
@@ -291,7 +291,7 @@ PDO_LATE = slots(one_of(1, 2, 5), step=3, pdo_late_us=periods_us(0.85, 1.4))
 UNHEARD_BY_MODULE, UNHEARD_BY_INTERFACE = slots(SOME, to_module=False), slots(SOME, to_interface=False)
 SYNC_DOUBLED = doubled(47.0, lambda _: 120.0)
 FALSE_PULSE = slots(1, false_pulse=lambda plan: float(plan.rng.uniform()))
-# Synchronous PDOs with the position of their SYNC (2013h), and a SYNC that does not jitter.
+# Synchronous PDOs with the position extrapolated to their SYNC (2013h); a SYNC without jitter.
 PREDICTED = options(rpdo_type=one_of(1, 255), tpdo_type=1, predict=one_of(1, 2))
 STEADY = wire(jitter_us=0.0, busy=0.0, tolerance=1.3)
 
@@ -301,7 +301,7 @@ def lost(count: int | Callable[[Plan], int]) -> Change:
 
 
 def deaf(count: Callable[[Plan], int]) -> Change:
-    """The module hears nothing for a while: neither SYNC nor PDO."""
+    """The module receives nothing for some time: neither SYNC nor PDO."""
     return slots(count, to_module=False, pdo_lost=True)
 
 
@@ -316,26 +316,26 @@ ANY_FAULT_OF_TIME = (one_bad_stamp, clock_steps, clock_stands, interface_restart
 
 
 def two_faults(plan: Plan) -> None:
-    """One after the other, or while the first lasts; what no module can see of both is left out."""
+    """Two faults, one after or during the other, without combinations that no module can detect."""
     faults = [*ANY_FAULT, *ANY_FAULT_OF_TIME * plan.setup.times]
     if plan.setup.fits("times|counter|stamps"):
-        faults.append(stall)  # else nothing shows SYNCs that come twice as often in it (P1)
+        faults.append(stall)  # in other set-ups additional SYNCs during a stall are undetectable (P1)
     begin = plan.fault
     for later in (0, int(plan.rng.integers(0, 40))):
         plan.fault = begin + later
         faults[int(plan.rng.integers(len(faults)))](plan)
     plan.fault = begin
     for slot in plan.slots:
-        slot.again = slot.again if slot.to_interface else []  # P7
+        slot.again = slot.again if slot.to_interface else []  # excludes case P7
 
 
 class WireClass:
-    """A class of wire faults; the set-ups of ``of`` and ``valid`` are those that fit (:meth:`Setup.fits`).
+    """A class of wire faults; ``of`` and ``valid`` select set-ups (:meth:`Setup.fits`).
 
-    torque      part of the episodes with a torque pulse beside the fault
+    torque      part of the episodes with a torque pulse near the fault
     after       slots after the fault
-    survives    what is declared keeps the position, so that a loss is a goal missed
-    valid       in these set-ups each sample after the start is to be valid
+    survives    the position must be kept, as the declarations cover the fault: a loss misses the goal
+    valid       in these set-ups each sample after the start must be valid
     """
 
     def __init__(
@@ -363,7 +363,7 @@ aimed = partial(WireClass, torque=0.0)
 
 CLASSES = {
     "healthy": WireClass(valid=""),
-    # Without a time, what a host takes a period late may be of the next SYNC until a later frame shows it.
+    # Without times, a frame that the host reads a period late may belong to the next SYNC.
     "healthy, late host": WireClass(LATE_HOST, valid="stamps|times"),
     "healthy, zero pulses": WireClass(ZERO_PULSES, valid=""),
     "healthy, at the limit": aimed(at_the_limit, of="times !servo", valid=""),
@@ -434,7 +434,7 @@ CLASSES = {
     "NMT pause": aimed(pause, after=110),
     "bus-off": aimed(bus_off, after=110),
     "bus-off, 1029h = 1": aimed(options(stays=True), bus_off, after=110),
-    # Counts that pass for a sample are a legal motion, off by less than the residual limit.
+    # Counts that are accepted are within the residual limit of the expected sample: a legal motion.
     "foreign ADC PDO": WireClass(
         wire(tolerance=0.9), slots(one_of(1, 1, 10), foreign_us=periods_us(0.05, 0.95))
     ),

@@ -1,9 +1,9 @@
-"""Where the evidence of several clocks disagrees: SYNC, receive times, sample times, counter, 1006h, host.
+"""Contradictory times: of SYNC, receive times, sample times, counter, 1006h, host.
 
-The faults here are aimed: an error of a time is that which a cycle takes at the speed of the machine (v e is
-a whole number), so that the phases alone show nothing. Each needs a machine of its own (:func:`machine`).
+These faults are aimed: with the error e of a time and the speed v, v e is a whole number of cycles, so that
+the phases alone do not reveal the error. Each needs its own machine (:func:`machine`).
 
-Last come stalls of a computer, 1 to 500 ms, at 100, 500 and 1000 Hz, with sample times (:func:`stalls`).
+At the end: stalls of a computer, 1 to 500 ms, at 100, 500 and 1000 Hz, with sample times (:func:`stalls`).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from tools.faults.wire.draw import torque
 from tools.faults.wire.line import TICK_S, Plan, Slot
 from tools.faults.wire.physics import stamp_tolerance, step_note
 
-LOADED = 64  # slots
-REST, STEADY = 14, 40  # slots at rest, and at speed before the fault
-PHASE_ERROR = 0.0125  # cycles, of an uncorrected encoder
-RESTARTED_T = 3.0  # a reset, its configuration and the start, T
+LOADED = 64  # slots at the start during which the computer is loaded
+REST, STEADY = 14, 40  # slots at rest, and at constant speed before the fault
+PHASE_ERROR = 0.0125  # largest one of an uncorrected encoder, cycles
+RESTARTED_T = 3.0  # duration of a reset, the configuration and the start, T
 
 
 def machine(plan: Plan, speed: float, after: int, *, limit: float = 0.25, rest: int = REST) -> None:
-    """A machine that goes from rest to ``speed`` cycles/T and stays there; the fault comes then."""
+    """A machine that accelerates from rest to ``speed`` cycles/T; the fault follows at constant speed."""
     size = 0.7 * limit
     ramp = abs(speed) / size
     plan.options.limit = limit
@@ -41,9 +41,9 @@ def a_speed(plan: Plan, least: float, most: float) -> float:
 
 
 def off_by_cycles(plan: Plan, speed: float) -> int:
-    """An error of a sample time, ticks, in which the machine goes a whole number of cycles.
+    """An error of a sample time, ticks, during which the machine moves a whole number of cycles.
 
-    More than physics excuses (P4), less than a period; 0 if there is none.
+    It is larger than an undetectable error (P4) and less than a period; 0 if no error is both.
     """
     interval_s = plan.options.interval_s
     least = stamp_tolerance(plan.setup, interval_s) + 0.03
@@ -55,7 +55,7 @@ def off_by_cycles(plan: Plan, speed: float) -> int:
 
 
 def bad_stamp_again(plan: Plan) -> None:
-    """A wrong sample time, and the same error once more later."""
+    """A wrong sample time, and later the same error again."""
     speed, later = a_speed(plan, 2.0, 20.0), int(plan.rng.choice((30, 600)))
     machine(plan, speed, later + 40)
     bad = off_by_cycles(plan, speed)
@@ -64,14 +64,14 @@ def bad_stamp_again(plan: Plan) -> None:
 
 
 def restart(plan: Plan, at: float) -> None:
-    """Reset node at this time, the configuration again, and OPERATIONAL."""
+    """Reset node at this time, then configuration and NMT start."""
     plan.actions.append((at, "nmt", bytes([129])))
     plan.actions.append((at + 0.5, "configure", b""))
     plan.actions.append((at + RESTARTED_T, "nmt", bytes([1])))
 
 
 def bad_stamp_after_reset(plan: Plan) -> None:
-    """A wrong sample time; the machine stops, reset node; the machine starts, and the same error."""
+    """A wrong sample time; the machine stops; reset node; the machine starts; the same error again."""
     speed = a_speed(plan, 2.0, 12.0)
     machine(plan, speed, 0)
     size = 0.175
@@ -104,12 +104,12 @@ def bad_stamp_early(plan: Plan) -> None:
 
 
 def _even(plan: Plan) -> None:
-    """The interface samples at SYNC, which does not jitter: the speed is not limited by it."""
+    """The interface samples at a SYNC without jitter, which would limit the speed."""
     plan.locked, plan.jitter_us, plan.busy = False, 0.0, 0.0
 
 
 def producer_shifts(plan: Plan) -> None:
-    """Another producer takes over: the same period, a phase in which the machine goes whole cycles."""
+    """Another producer takes over, with equal period; the machine moves whole cycles in the phase shift."""
     speed = a_speed(plan, 4.0, 40.0)
     machine(plan, speed, 100)
     _even(plan)
@@ -122,20 +122,20 @@ def producer_shifts(plan: Plan) -> None:
 
 
 def producer_changes_rate(plan: Plan) -> None:
-    """Another period, at once of all samples: the machine goes whole cycles more, or fewer, in each."""
+    """The period changes so that the machine moves whole cycles more or fewer in each."""
     speed, part = a_speed(plan, 4.0, 40.0), 0.65 if plan.setup.servo else 0.35
     machine(plan, speed, 100)
     _even(plan)
     plan.options.follows = True
     rates = [k / abs(speed) for k in range(-40, 41) if k and -part < k / abs(speed) < part + 0.1]
     rate = float(plan.rng.choice(rates))
-    plan.note = "P8 for a while" if step_note(plan, rate) else ""  # the later ones are further off
+    plan.note = "P8 for a while" if step_note(plan, rate) else ""  # the deviation grows with each SYNC
     for n, slot in enumerate(plan.slots[plan.fault :], 1):
         slot.late_us = n * rate / plan.us
 
 
 def faster_sync(plan: Plan) -> None:
-    """SYNC goes to another rate; each of them triggers the synchronous PDOs."""
+    """The rate of SYNC increases; each SYNC must trigger the synchronous PDOs."""
     plan.options.interval_s, plan.options.tpdo_type, plan.options.period = 25e-3, 1, False
     machine(plan, a_speed(plan, 0.0, 1.0), 40)
     _even(plan)
@@ -145,7 +145,7 @@ def faster_sync(plan: Plan) -> None:
 
 
 def lost_then_started(plan: Plan) -> None:
-    """Lost in motion; the master then stops and starts the module, or resets it, while it turns."""
+    """The position is lost in motion; the master stops and starts the module while the machine turns."""
     machine(plan, a_speed(plan, 3.0, 40.0), 140)
     for slot in plan.slots[plan.fault : plan.fault + 30]:
         slot.to_module, slot.pdo_lost = False, True
@@ -175,7 +175,7 @@ def short_pause(plan: Plan) -> None:
 
 
 def samples_later(plan: Plan) -> None:
-    """NMT stop and start while the machine creeps; the interface answers 1 to 80 periods later."""
+    """NMT stop and start while the machine creeps; samples return 1 to 80 periods later."""
     machine(plan, a_speed(plan, 0.005, 0.5), 190, limit=float(plan.rng.choice((0.05, 0.25))))
     begin, later = plan.fault + float(plan.rng.uniform()), int(plan.rng.integers(1, 81))
     end = begin + float(10.0 ** plan.rng.uniform(-2.0, 1.0))
@@ -196,7 +196,7 @@ def creeping_deaf(plan: Plan) -> None:
 
 
 def one_lost_at_the_limit(plan: Plan) -> None:
-    """One PDO lost at all of the acceleration that 2010:02 allows, SYNC jitter of 40 us."""
+    """One PDO is lost at the full acceleration that 2010:02 allows, with SYNC jitter of 40 us."""
     limit = float(plan.rng.uniform(0.16, 0.2))
     machine(plan, 1e-6, 0, limit=limit)
     plan.motion.push(REST, 1e6, limit * float(plan.rng.choice((-1.0, 1.0))))
@@ -216,7 +216,7 @@ def wrong_1006_and_lost(plan: Plan) -> None:
 
 
 def stall_in_one_burst(plan: Plan) -> None:
-    """The host stalls once; every frame is there afterwards, with its counter."""
+    """The host stalls once; no frame is lost, and SYNC has a counter."""
     plan.options.interval_s, plan.options.overflow = 1e-3, 240
     machine(plan, a_speed(plan, 0.0, 40.0), 260)
     plan.locked, plan.jitter_us = True, float(plan.rng.uniform(0.0, 50.0))
@@ -226,10 +226,10 @@ def stall_in_one_burst(plan: Plan) -> None:
 
 
 def everything_stalls(plan: Plan) -> None:
-    """Module, interface and SYNC producer are one computer, which stalls.
+    """Module, interface and SYNC producer run on one computer, which stalls.
 
-    SYNCs due meanwhile are not sent but for the last one, late; the next one is in time, shortly after. The
-    stall is as long as one motion only is possible: floor((T + 1)^2 / 4) 2 A + 4 eps (T + 1) <= 1.
+    Of the SYNCs due during the stall only the last is sent, late; the next one follows in time. The stall is
+    so short that only one motion is possible: floor((T + 1)^2 / 4) 2 A + 4 eps (T + 1) <= 1.
     """
     plan.options.interval_s = interval_s = float(plan.rng.choice((1e-2, 1e-2, 2e-3, 1e-3)))
     limit = float(plan.rng.choice((0.02, 0.05, 0.1)))
@@ -244,25 +244,25 @@ def everything_stalls(plan: Plan) -> None:
 
 
 def _producer_stalls(plan: Plan, begin: float, end: float) -> None:
-    """SYNCs due meanwhile are not sent but for the last one, at the end."""
+    """Of the SYNCs due during the stall only the last is sent, at its end."""
     last = int(end - 1.0)  # slot n is due at n + 1
     for slot in plan.slots[int(begin) : last]:
         slot.produced = False
-    # It is sent before the next one, however both jitter, and a frame of 135 us takes the bus (1 Mbit/s).
+    # It must precede the next one for any jitter of both; a frame of 135 us may occupy the bus.
     most = 1.0 - (2.0 * plan.jitter_us + 135.0) * plan.us
     plan.slots[last].late_us = min(max(0.0, end - (last + 1.0)), most) / plan.us
 
 
 def longest_bridged(limit: float) -> int:
-    """Whole periods of the longest stall in which two motions of the same phases part by a cycle at most."""
+    """Whole periods of the longest stall after which two motions with equal phases differ by < 1 cycle."""
     return max(n for n in range(2, 41) if n**2 // 4 * 2.0 * limit + 4.0 * PHASE_ERROR * n <= 1.0) - 1
 
 
 def stalls_at_the_start(plan: Plan) -> None:
     """Module, interface and SYNC producer are processes of one loaded computer.
 
-    From the first SYNC on the interface samples late, at the times that it names; SYNCs and PDOs are late, or
-    not sent. The machine starts behind it.
+    From the first SYNC on the interface samples late, with correct sample times; SYNCs and PDOs are late, or
+    not sent. The machine starts to move after this.
     """
     rng, limit = plan.rng, float(plan.rng.choice(LIMITS))
     machine(plan, a_speed(plan, 0.0, 100.0 * limit), 0, limit=limit, rest=REST + LOADED)
@@ -282,7 +282,7 @@ def stalls_at_the_start(plan: Plan) -> None:
 
 
 def answers_behind_later_syncs(plan: Plan) -> None:
-    """Each PDO is late by up to three periods, and half of one for the rest, which 2010:0E declares."""
+    """All PDOs are late by the same time, up to three periods; 2010:0E declares half a period more."""
     late = float(plan.rng.uniform(0.0, 3.0))
     plan.options.answer_s = (late + 0.5) * plan.options.interval_s
     for slot in plan.slots:
@@ -290,16 +290,16 @@ def answers_behind_later_syncs(plan: Plan) -> None:
 
 
 def late_stamp_once(plan: Plan) -> None:
-    """One sample time late by 50 to 400 us, as a timer that was read late: it costs that sample alone."""
+    """One sample time is late by 50 to 400 us, as if the timer was read late: only that sample may be bad."""
     plan.options.interval_s = 1e-3
     machine(plan, a_speed(plan, 5.0, 40.0), 60)
     plan.slots[plan.fault].stamp_add = round(float(plan.rng.uniform(500.0, 4000.0)))
 
 
 def clock_set_in_a_burst(plan: Plan) -> None:
-    """The host stalls; while frames wait, the clock of the interface goes on by periods, once or for good.
+    """The host stalls; meanwhile the clock of the interface steps by periods, temporarily or for good.
 
-    As if frames had been dropped: at whole cycles per period the phases fit, too.
+    It looks as if frames had been lost: at whole cycles per period the phases fit, too.
     """
     plan.options.interval_s = 1e-3
     machine(plan, float(round(a_speed(plan, 0.6, 20.0))), 200)
@@ -318,16 +318,16 @@ RATES_HZ = (100, 500, 1000)
 SHORTEST_S, LONGEST_S = 1e-3, 0.5
 IN_A_ROW = 8
 BETWEEN = 40  # periods from one stall to the next
-QUEUES = (20, 64, 277)  # frames; a slot is two of them
-LIMITS = (0.02, 0.05, 0.1)  # cycles/T^2
-SPARE = 1.1  # a torque pulse on top of a vibration, which is declared then
+QUEUES = (20, 64, 277)  # length of a receive queue, frames; a slot has two frames
+LIMITS = (0.02, 0.05, 0.1)  # largest acceleration, cycles/T^2
+SPARE = 1.1  # declared / usual acceleration, for a torque pulse in addition to a vibration
 
 
 def stalls(who: str, rate_hz: int, is_short: bool) -> Callable[[Plan], None]:
-    """A stalled module's frames wait, or are dropped beyond its queue; a stall alone hides nothing.
+    """Stalls of ``who``; frames for a stalled module wait, or are dropped if its queue is full.
 
-    ``is_short``: one motion only fits behind each of several stalls, and the position has to be kept. Behind
-    a longer one it may be lost, but is never valid and wrong; the rest of them would show nothing.
+    ``is_short``: after each of several stalls only one motion fits, so the position must be kept. After a
+    long stall it may be lost, but must not be valid and wrong; then a single stall is played.
     """
 
     def change(plan: Plan) -> None:
@@ -361,7 +361,7 @@ def _lengths(rng: np.random.Generator, who: str, rate_hz: int, bridged: int, is_
 
 
 def _put(plan: Plan, who: str, begin: float, end: float, bridged: int = 0) -> None:
-    """One stall; ``bridged``: so many samples at most are dropped, 0: as many as the queue drops."""
+    """Add a stall; ``bridged``: most samples that are dropped, 0: all that the queue drops."""
     first, last = int(begin), int(end - 1.0)  # slot n is due at n + 1
     if who != "producer":
         plan.stalls.append((begin, end))

@@ -1,7 +1,7 @@
-"""What every episode begins with: a machine that gets to its speed within its limits, on a healthy wire.
+"""Draws the healthy part of an episode: a machine that accelerates within its limits, on a healthy wire.
 
-The motions of a servo are moves limited in jerk, reversals and vibration at a SYNC of 1 kHz, with two pairs,
-sample times and a known acceleration: 2000 rad/s^2 is 0.8 cycle/T^2 at 2500 cycles, 0.2 from pair to pair.
+A servo makes moves with limited jerk, reversals and vibration at a SYNC of 1 kHz, with two pairs, sample
+times and a known acceleration: 2000 rad/s^2 is 0.8 cycle/T^2 at 2500 cycles, 0.2 per pair interval^2.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from tools.faults.wire.setups import Options, Setup
 
 LONGEST_RAMP = 420
 REST, STEADY, AFTER = 12, 24, 70  # slots before the ramp, before and after the fault
-# cycles/T^2 that a machine does when 2010:02 is not set: what 2010:0B assumes. One above it can be wrong
-# after a gap (docs/supervision.md); tools.faults.samples.campaign --exceed measures that.
+# Acceleration of the machine, cycles/T^2, if 2010:02 is not set: as in 2010:0B. With more, the position can
+# be wrong after a gap (docs/supervision.md); tools.faults.samples.campaign --exceed measures that.
 UNKNOWN_LIMIT = 0.1
-SERVO_REST, LEARNED = 110, 420  # slots
+SERVO_REST, LEARNED = 110, 420  # slots of rest before the moves, and to the end of the moves at least
 TOP_ACCELERATION, TOP_JERK = 0.8, 0.08
 DWELL = 30.0
-KNOWN = 1.05  # 2010:02, of the acceleration that the machine does, vibration included
+KNOWN = 1.05  # 2010:02 / largest acceleration of the machine, vibration included
 
 
 def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER, steady: bool = False) -> Plan:
     """A healthy plan; a class of faults then changes it from slot ``fault`` on.
 
-    The machine is at its speed then, or, unless ``steady``, perhaps still accelerating, or reversing.
+    At the fault the machine has constant speed or, unless ``steady``, may accelerate or reverse.
     """
     if setup.servo:
         return draw_servo(setup, rng, after)
@@ -40,7 +40,7 @@ def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER, steady
     limit = options.limit or UNKNOWN_LIMIT
     speed = _speed(rng, limit)
     motion = Motion(start=float(rng.uniform(0.1, 0.9)) + float(rng.integers(-3, 3)))
-    # A jittering SYNC makes an interval up to 1.4 T: its acceleration takes up to 1.5 times the residual.
+    # With SYNC jitter an interval may be 1.4 T, which increases the residual of an acceleration 1.5 times.
     size = float(rng.uniform(0.5, 0.7 if setup.times else 0.9)) * limit
     acceleration = float(np.copysign(size, speed))
     ramp = abs(speed) / size
@@ -51,7 +51,7 @@ def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER, steady
         fault = max(REST + int(ramp), REST + STEADY)
     else:
         motion.push(REST, ramp, acceleration)
-        if kind < 0.3:  # through standstill around the fault
+        if kind < 0.3:  # reversal around the fault
             motion.push(REST + ramp + 10.0, 1e6, -acceleration)
             fault = int(REST + ramp + 10.0 + max(ramp + float(rng.uniform(-5.0, 5.0)), STEADY))
     plan = Plan(setup, options, motion, rng, [Slot() for _ in range(fault + after)], fault)
@@ -78,16 +78,16 @@ def _draw_wire(plan: Plan) -> None:
     plan.drift = float(rng.uniform(-1e-4, 1e-4))
     plan.gaussian = bool(rng.integers(2))
     plan.jitter_us = float(rng.uniform(0.0, 100.0))
-    if plan.options.interval_s < 1e-3:  # such a bus has room for nothing else
+    if plan.options.interval_s < 1e-3:  # at this rate the bus has no room for other frames
         plan.jitter_us, plan.gaussian, plan.busy = plan.jitter_us * 0.25, False, 0.0
-    plan.locked = setup.servo > 2  # 100 us rms would be half of its interval
+    plan.locked = setup.servo > 2  # 100 us rms jitter would be half of the sampling interval
     if not setup.times:
         plan.locked = bool(rng.uniform() < 0.7)
         keep_regular(plan)
 
 
 def keep_regular(plan: Plan) -> None:
-    """Without sample times only a locked timer may jitter, or a slow machine (P6)."""
+    """Without sample times allow SYNC jitter only with a locked timer or a slow machine (P6)."""
     if not (plan.setup.times or plan.locked):
         room = 0.05 if plan.options.limit is None else 0.02
         fastest = float(np.abs(np.diff(plan.motion.at(np.arange(plan.end)))).max(initial=0.0))
@@ -107,7 +107,7 @@ def torque(plan: Plan) -> None:
         plan.motion.push(begin, 5.0, size)
     elif kind == 2:
         plan.motion.s_curve(begin, float(rng.uniform(6.0, 30.0)), size)
-    elif kind == 3:  # a step: constant from here on
+    elif kind == 3:  # a step of the acceleration
         plan.motion.push(begin, plan.end, size)
     else:
         frequency = min(float(rng.uniform(10.0, 200.0)) * plan.options.interval_s, 0.2)
@@ -115,17 +115,17 @@ def torque(plan: Plan) -> None:
 
 
 def draw_servo(setup: Setup, rng: np.random.Generator, after: int) -> Plan:
-    """Moves one after the other; the fault is anywhere in the second half of them."""
+    """A plan with successive moves; the fault is at random in their second half."""
     options = Options(interval_s=1e-3, margin=int(rng.choice((0, 6))), period=bool(rng.integers(2)))
     options.exact = bool(rng.integers(2))
     options.overflow = int(rng.choice((10, 240)))
     motion = Motion(start=float(rng.uniform(0.1, 0.9)) + float(rng.integers(-3, 3)))
-    more = (setup.servo / 2) ** 2  # of cycles/T^2 in intervals of its own: the same as with two pairs
+    more = (setup.servo / 2) ** 2  # keeps the acceleration per sampling interval^2 of two pairs
     jerk = TOP_JERK * more * float(rng.choice((1.0, 1.0, 0.3, 0.05)))
     options.limit = TOP_ACCELERATION * more * KNOWN
     end, speed = float(SERVO_REST), 0.0
     top = TOP_CYCLES * (1.0 if setup.times else float(rng.choice((1.0, 0.1, 0.01, 0.003))))
-    learning = options.margin > 0 and bool(rng.integers(2))  # the noise is known before the fault
+    learning = options.margin > 0 and bool(rng.integers(2))  # a long move first: measures the noise
     slots = LEARNED if not learning else 1500
     while end < slots:
         target = float(rng.uniform(-1.0, 1.0)) * top * float(rng.choice((1.0, 1.0, 0.05)))
@@ -145,7 +145,7 @@ def draw_servo(setup: Setup, rng: np.random.Generator, after: int) -> Plan:
 def move(
     motion: Motion, begin: float, change: float, most: float, jerk: float, rng: np.random.Generator
 ) -> float:
-    """A change of speed, limited in acceleration and jerk; when it is over."""
+    """Add a change of speed, limited in acceleration and jerk; returns its end."""
     size = abs(change)
     acceleration = min(most * float(rng.choice((1.0, 0.5))), math.sqrt(size * jerk))
     if size == 0.0 or acceleration == 0.0:
@@ -159,9 +159,9 @@ def move(
 
 
 def vibrate(motion: Motion, rng: np.random.Generator, jerk: float, end: float) -> None:
-    """In some episodes a vibration of 10 to 200 Hz on top: its acceleration is below 2 % of the known one."""
+    """Add a vibration of 10 to 200 Hz in half of the episodes, with 2 % of the jerk of the moves."""
     if rng.integers(2):
         return
-    frequency = float(rng.uniform(0.01, 0.2))  # 1/T
+    frequency = float(rng.uniform(0.01, 0.2))  # in 1/T
     size = 0.02 * jerk / (2.0 * math.pi * frequency)
     motion.vibrations.append((float(SERVO_REST), size, frequency, end))

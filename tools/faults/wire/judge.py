@@ -1,19 +1,19 @@
-"""The judge: every position that the module sends as valid, against the true one.
+"""The judge: compares every position that the module sends as valid with the true one.
 
-The rules, by what made the module send (times in T, true receive times):
+Rules: the correct positions, by the cause of the frame (times in T, true receive times):
 
-J1  an ADC PDO: the position is that of the sample in it, of the newest sample heard, or of the last SYNC.
-    Of an old PDO also the true one at the last place of SYNC (P5).
-J2  SYNC s (synchronous PDOs), or a foreign PDO after it: the sample of the SYNC before (FRESH), or of s.
-    Where a late host and an unheard SYNC look alike (P2 in README.md), also that of the newest one heard.
-    With 2013h, that at the SYNC itself, or one period after the sample (docs/latency.md).
-J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
-    position at that very moment. So a frozen position is wrong once the machine has moved on.
-J4  a sample time that is off by no more than the wire can be (P4): also the position at the time it names; at
-    a SYNC also a sample that is no further from the place of the SYNC before.
+J1  an ADC PDO: the position of its sample, of the newest sample received, or of the last SYNC.
+    For an old PDO also the true position at the nominal time of the last SYNC (P5).
+J2  SYNC s (synchronous PDOs), or a foreign PDO after it: the sample of the previous SYNC (FRESH), or of s.
+    If a late host and a missed SYNC look alike (P2 in README.md), also the newest sample received.
+    With 2013h, the position at the SYNC itself, or one period after the sample (docs/latency.md).
+J3  a timer, an SDO read, NMT: the newest sample received, if not older than FRESH; else the true
+    position at that instant. So a frozen position is wrong once the machine has moved.
+J4  a sample time with an undetectable error (P4): also the position at that time; at a SYNC also a sample
+    that is as close to the nominal time of the previous SYNC.
 
-"Is that of" means within half a cycle. A frame with bit 0 whose position is that of no instant that the rules
-admit is **valid and wrong**. No latency is allowed. Frames without bit 0 are never wrong.
+A position is correct if it is within half a cycle of one of these. A frame with bit 0 and no correct position
+is **valid and wrong**. No latency is allowed. Frames without bit 0 are never wrong.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from tools.faults.wire.setups import (
 )
 
 VALID, LOST = 1 << 0, 1 << 2
-FRESH = 3.0  # 2010:06 is 2 periods; one more for a late SYNC, the delay of the PDO and the host
-START = 12.0  # until then nothing has to be valid: a coarse track is found at rest
-SEARCH = 64  # samples of a start with sample times and 2010:02 at most (docs/supervision.md)
-ACCELERATION_MARGIN = 0.15  # cycles/T^2
-RESIDUAL_LIMIT = 1.0 / 3.0  # 2010:01 as delivered
-LIMIT_MARGIN = 0.06  # cycles/T^2: that of a narrowed limit, and the noise
-MEMORY = 8  # samples whose accelerations 2011:09 may hold
+FRESH = 3.0  # largest age of a position: 2 periods (2010:06), and one for late SYNC, PDO and host
+START = 12.0  # time until a position must be valid: a coarse track is found at rest
+SEARCH = 64  # most samples of a start with sample times and 2010:02 (docs/supervision.md)
+ACCELERATION_MARGIN = 0.15  # tolerance of 2011:09, cycles/T^2
+RESIDUAL_LIMIT = 1.0 / 3.0  # default of 2010:01
+LIMIT_MARGIN = 0.06  # margin of a narrowed limit, and noise, cycles/T^2
+MEMORY = 8  # most recent samples of which 2011:09 may be the acceleration
 ACCELERATION_ID = 0x380 + 32
 START_NODE, RESET_NODE = bytes([1]), bytes([129])
 EMCY_WINDOW_S, EMCY_LIMIT = 0.1, 10
@@ -52,7 +52,7 @@ EMCY_WINDOW_S, EMCY_LIMIT = 0.1, 10
 
 @dataclass
 class Shown:
-    """One position with its status, and how far it is from the nearest admissible truth."""
+    """One position with its status, and its error against the nearest correct position."""
 
     now: float
     what: str
@@ -61,7 +61,7 @@ class Shown:
     residual: float
     error: float
     pdo: Event | None  # the ADC PDO that made the module send it
-    newest: int  # sample that the module has heard
+    newest: int  # newest sample that the module has received
 
     @property
     def valid(self) -> bool:
@@ -71,15 +71,15 @@ class Shown:
 @dataclass
 class Verdict:
     outcome: str = "kept"  # wrong, physics, lost, flagged, kept
-    wrong: int = 0  # valid and wrong
+    wrong: int = 0  # positions valid and wrong
     first_wrong: Shown | None = None
-    early: int = 0  # not valid before the fault
+    early: int = 0  # positions not valid before the fault
     not_valid: int = 0
-    after_start: int = 0  # of them later than a start may take
+    after_start: int = 0  # positions not valid later than a start may take
     acceleration_wrong: int = 0
-    emergencies: int = 0  # most within EMCY_WINDOW_S
+    emergencies: int = 0  # most EMCY within EMCY_WINDOW_S
     right_at_end: bool = False
-    unanswered: int = 0  # SYNCs on the bus that no synchronous TPDO followed
+    unanswered: int = 0  # SYNCs on the bus without a synchronous TPDO after them
 
 
 class Judge:
@@ -90,17 +90,17 @@ class Judge:
         commands = sorted((at, data) for at, what, data in plan.actions if what == "nmt")
         resets = [place for place, (_, data) in enumerate(commands) if data == RESET_NODE]
         starts = [at for place in resets for at, data in commands[place:] if data == START_NODE]
-        self._resets = starts[: len(resets)]  # from here on the module counts from 0 again
+        self._resets = starts[: len(resets)]  # times from which the module counts from 0 again
         syncs = [event for event in line.events if event.what == "sync"]
         self._sync_times = [event.time for event in syncs]
         self._sync_slots = [event.number for event in syncs]
-        self._start = SEARCH if plan.setup.times and plan.options.limit is not None else 0  # samples
+        self._start = SEARCH if plan.setup.times and plan.options.limit is not None else 0  # in samples
         self._lost = False
-        self._last_wrong = 0.0  # T
+        self._last_wrong = 0.0  # time of the last wrong position, T
         self._tolerance = (
             physics.stamp_tolerance(plan.setup, plan.options.interval_s) if plan.setup.times else 0.0
         )
-        self._status: int | None = None  # of an SDO read
+        self._status: int | None = None  # status word of an SDO read
         self.shown: list[Shown] = []
         self.verdict = Verdict()
 
@@ -126,7 +126,7 @@ class Judge:
         return verdict
 
     def _unanswered(self, sent: list[Sent]) -> int:
-        """SYNCs without the TPDO of type 1, but for those that a repetition within the same slot makes."""
+        """Slots with a SYNC but without the TPDO of type 1; repeated SYNCs count as one."""
         answered = {id(one.cause) for one in sent if one.frame.can_id == TPDO1_ID}
         slots = {event.number for event in self._line.events if id(event) in answered}
         last = max((one.now for one in sent), default=0.0)
@@ -148,13 +148,13 @@ class Judge:
             verdict.outcome = "flagged"
 
     def _is_p8(self) -> bool:
-        """A step of SYNC within the noise of receive times: seen after a while, or too small."""
+        """Case P8: a step of SYNC within the noise of receive times, detected later or too small."""
         plan = self._plan
         seen_late = plan.note == "P8" or self._last_wrong <= plan.fault + physics.STEP_SYNCS
         return seen_late and not plan.setup.times
 
     def _is_p7(self) -> bool:
-        """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown until then."""
+        """Case P7: a PDO answered another SYNC, and a legal motion fits all positions until then."""
         line, shown = self._line, list[tuple[float, float]]()
         if self._plan.setup.times or not physics.answers_another(line):
             return False
@@ -166,20 +166,20 @@ class Judge:
         return self._is_legal(shown)
 
     def _is_p9(self) -> bool:
-        """Sample times are off by no more than the wire can be, and a machine moves as was shown at them."""
+        """Case P9: sample times have undetectable errors, and a legal motion fits the positions at them."""
         line = self._line
         off = [abs(named - time) for named, time in zip(line.named, line.sample_times, strict=True)]
         if not (self._plan.setup.times and 0.0 < max(off, default=0.0) <= self._tolerance):
             return False
         shown = [(line.named[n], one.position) for n, one in self._samples()]
-        if servo := self._plan.setup.servo:  # noise / step^2
+        if servo := self._plan.setup.servo:  # the margin for noise grows with 1 / interval^2
             return self._is_legal(self._with_earlier(shown, servo), servo * servo * LIMIT_MARGIN)
         fastest = max(abs(two - one) for one, two in pairwise(line.positions))
-        rounded = 2.0 * fastest * TICK_S / self._plan.options.interval_s  # second differences of times
+        rounded = 2.0 * fastest * TICK_S / self._plan.options.interval_s  # rounding of sample times
         return self._is_legal(shown, LIMIT_MARGIN + rounded)
 
     def _with_earlier(self, shown: list[tuple[float, float]], per_sync: int) -> list[tuple[float, float]]:
-        """With the earlier pairs of each PDO, in the cycle that its speed gives, not over gaps."""
+        """``shown`` with the earlier pairs of each PDO, in the cycle by its speed, except over gaps."""
         pairs = []
         for ((before, x), (named, y)), (n, _) in zip(pairwise(shown), self._samples()[1:], strict=True):
             for k in range(per_sync - 1, 0, -1) if named - before < 1.5 else ():
@@ -191,7 +191,7 @@ class Judge:
         return pairs
 
     def _samples(self) -> list[tuple[int, Shown]]:
-        """Which one each valid TPDO shows: that of the PDO, or at a SYNC the newest."""
+        """Valid TPDOs with the number of their sample: the one of the ADC PDO, or at a SYNC the newest."""
         valid = (one for one in self.shown if one.what == "TPDO" and one.valid)
         return [(one.newest if one.pdo is None else one.pdo.number, one) for one in valid]
 
@@ -239,20 +239,20 @@ class Judge:
             verdict.first_wrong = verdict.first_wrong or shown
 
     def _error(self, one: Sent, position: float, whole: float = RANGE_CYCLES) -> float:
-        """Of a position against the nearest truth."""
+        """Error of a position against the nearest correct one."""
         truths = self._admissible(one)
         errors = (within_half(position + self._base - truth, whole) for truth in truths)
         return min(errors, key=abs, default=whole)
 
     def _admissible(self, one: Sent) -> list[float]:
-        """True positions at the instants of rules J1 to J4."""
+        """Correct positions by rules J1 to J4."""
         line, cause = self._line, one.cause
         late = self._plan.options.answer_s / self._plan.options.interval_s  # 2010:0E
         if cause is not None and cause.what in ("pdo", "part", "extra"):
             slot = self._last_sync(cause.time)
             samples = {cause.number, one.newest, *self._samples_of(slot, slot)}
             true = [line.positions[n] for n in samples] + self._named(samples)
-            if cause.number < one.newest:  # an old one that is as good as the sample that is due (P5)
+            if cause.number < one.newest:  # an old PDO may fit the sample that is due (P5)
                 true += self._plan.motion.at([math.floor(cause.time)]).tolist()
             return true
         if cause is not None and cause.what in ("sync", "foreign"):
@@ -276,12 +276,12 @@ class Judge:
         return [float(self._plan.motion.at([one.now])[0])]
 
     def _last_sync(self, time: float) -> int:
-        """The slot of the last SYNC that the module heard up to this time."""
+        """The slot of the last SYNC that the module received up to this time."""
         place = bisect_right(self._sync_times, time) - 1
         return self._sync_slots[place] if place >= 0 else -1
 
     def _slot_before(self, slot: int) -> int:
-        """That of the SYNC before, where it is FRESH: the producer may have another period."""
+        """The slot of the previous SYNC within FRESH; it need not be the previous slot."""
         recent = range(slot - 1, max(slot - int(FRESH), 0) - 1, -1)
         return next((one for one in recent if self._plan.slots[one].produced), slot - 1)
 
@@ -290,11 +290,11 @@ class Judge:
         return range(bisect_left(slots, first_slot), bisect_right(slots, last_slot))
 
     def _named(self, samples: Iterable[int]) -> list[float]:
-        """Rule J4."""
+        """Correct positions by rule J4."""
         line, tolerance = self._line, self._tolerance
         stamped, named = self._plan.setup.stamps, []
         for at, time, slot in ((line.named[n], line.sample_times[n], line.sample_slots[n]) for n in samples):
-            place = time if stamped else slot + 1.0  # all that is known without receive times
+            place = time if stamped else slot + 1.0  # without receive times only the nominal time is known
             if at != time and min(abs(at - time), abs(at - place)) <= tolerance:
                 named.append(at)
         return self._plan.motion.at(named).tolist() if named else []

@@ -1,7 +1,7 @@
-"""The wire: SYNCs, what the interface samples and sends, when each frame is heard, and by whom.
+"""The wire: SYNCs, samples and frames of the interface, receivers and receive times of frames.
 
-A :class:`Plan` says what happens in each SYNC slot. :func:`lay` turns it into the events that the
-module hears, each at its true receive time, and into the true position of each sample.
+A :class:`Plan` describes each SYNC slot. :func:`lay` converts it to the events that the module receives,
+each at its true receive time, and to the true position of each sample.
 Times in T; ``Plan.us`` converts microseconds.
 """
 
@@ -35,35 +35,35 @@ from tools.faults.wire.setups import (
 
 TICK_S = 1e-7
 U32 = 0xFFFFFFFF
-SAMPLE_LATENCY_US = 20.0  # from the end of the SYNC to the hold of both tracks
-TIMES_LATER_US = 60.0  # the next PDO of the interface
-LATEST_PDO = 0.45  # T after its SYNC, on a healthy wire
+SAMPLE_LATENCY_US = 20.0  # from the end of the SYNC to the sampling instant
+TIMES_LATER_US = 60.0  # from a PDO of the interface to the next one
+LATEST_PDO = 0.45  # longest time from SYNC to PDO on a healthy wire, T
 AMPLITUDE_COUNTS = COARSE_COUNTS = 1500.0
-FIRST_PULSE = 40.0  # cycles
-INSTANTS = 65  # of an interval, between which the motion is a straight line
+FIRST_PULSE = 40.0  # position of the first zero pulse, cycles
+INSTANTS = 65  # instants of an interval between which the motion is interpolated linearly
 
 
 @dataclass
 class Slot:
-    """What happens with one SYNC, and with its ADC PDO."""
+    """How one SYNC and its ADC PDO are sent, delayed or lost."""
 
     produced: bool = True
     to_module: bool = True
     to_interface: bool = True
-    late_us: float = 0.0  # the SYNC itself, beyond its jitter
-    payload: bytes | None = None  # in place of what the set-up has
+    late_us: float = 0.0  # delay of the SYNC itself, in addition to its jitter
+    payload: bytes | None = None  # data of the SYNC; None: as in the set-up
     again: list[tuple[float, bool, bool]] = field(default_factory=list)  # us later, to module, to interface
-    sample_late_us: float = 0.0  # the hold of both tracks
+    sample_late_us: float = 0.0  # delay of the sampling instant
     pdo_lost: bool = False
-    times_lost: bool = False  # the PDO with the sample time, where it has its own
+    times_lost: bool = False  # the PDO with the sample time is lost, if that is a separate one
     pdo_late_us: float = 0.0
     pdo_again_us: list[float] = field(default_factory=list)
     extra_lost: bool = False
     extra_again_us: list[float] = field(default_factory=list)
-    false_pulse: float | None = None  # place in the interval
-    stamp: int | None = None  # in place of the sample time
-    stamp_add: int = 0  # ticks
-    foreign_us: float | None = None  # a PDO of another node, with random counts, so long after the SYNC
+    false_pulse: float | None = None  # place of a false zero pulse in the interval, 0..1
+    stamp: int | None = None  # replaces the sample time
+    stamp_add: int = 0  # error of the sample time, ticks
+    foreign_us: float | None = None  # time after the SYNC of a foreign PDO with random counts
 
 
 class Event(NamedTuple):
@@ -72,14 +72,14 @@ class Event(NamedTuple):
     time: float  # true receive time, T
     what: str  # sync, part (of a sample), pdo (completes it), extra, foreign, sdo, nmt, bus_off, bus_back
     frame: Frame | None
-    number: int  # of the slot for sync and foreign, of the sample for pdo and extra
+    number: int  # number of the slot for sync and foreign, of the sample for pdo and extra
 
 
 class Sent(NamedTuple):
-    now: float  # T
+    now: float  # time, T
     cause: Event | None  # None: a timer
     frame: Frame
-    newest: int  # number of the newest sample that the module has heard; -1: none
+    newest: int  # number of the newest sample that the module has received; -1: none
 
 
 @dataclass
@@ -89,20 +89,20 @@ class Plan:
     motion: Motion
     rng: np.random.Generator
     slots: list[Slot]
-    fault: int  # slot
-    jitter_us: float = 0.0  # of the SYNC, rms or half width
+    fault: int  # slot of the fault
+    jitter_us: float = 0.0  # jitter of the SYNC, rms (gaussian) or half width (uniform)
     gaussian: bool = False
-    busy: float = 0.3  # part of the SYNCs that wait for a frame
-    locked: bool = False  # the interface samples by a timer locked to the SYNC: no jitter
+    busy: float = 0.3  # part of the SYNCs that wait for a frame on the bus
+    locked: bool = False  # the interface samples by a timer locked to SYNC, so without jitter
     drift: float = 0.0
     host: str = "quick"
     stalls: list[tuple[float, float]] = field(default_factory=list)
-    actions: list[tuple[float, str, bytes]] = field(default_factory=list)  # time, what, data
+    actions: list[tuple[float, str, bytes]] = field(default_factory=list)  # time, kind of event, data
     reads: list[float] = field(default_factory=list)
-    accelerating: bool = False  # at the fault, by as much as its limit allows
-    bad_rx: float = 0.0  # part of the receive times that are off
-    tolerance: float = 0.5  # cycles that a right position may be off
-    note: str = ""  # P1, P2, ...: why a wrong position cannot be seen here (tools/faults/wire/README.md)
+    accelerating: bool = False  # the machine accelerates at the fault, up to its limit
+    bad_rx: float = 0.0  # part of the receive times that are wrong
+    tolerance: float = 0.5  # largest error of a correct position, cycles
+    note: str = ""  # P1, P2, ...: why a wrong position is undetectable (tools/faults/wire/README.md)
 
     @property
     def us(self) -> float:
@@ -111,19 +111,19 @@ class Plan:
 
     @property
     def end(self) -> float:
-        """Nothing happens after it."""
+        """End of the episode, T."""
         return float(len(self.slots))
 
 
 @dataclass
 class Line:
-    """What the plan became: events in the order of reception, and the truth."""
+    """Result of a plan: events in the order of reception, and the truth."""
 
     events: list[Event]
     sample_times: list[float]
     sample_slots: list[int]
     positions: list[float]
-    named: list[float]  # the moments that the sample times name
+    named: list[float]  # instants according to the sample times
 
 
 class _Sampling(NamedTuple):
@@ -163,7 +163,7 @@ def lay(plan: Plan) -> Line:
             continue
         commands = {"nmt": Frame(NMT_ID, data + bytes([NODE])), "write": Frame(SDO_RX, data)}
         events.append(Event(at, what, commands.get(what), 0))
-    events.sort(key=lambda one: one.time)  # those of one time as they were laid
+    events.sort(key=lambda one: one.time)  # stable: events of equal time keep their order
     times, slots = [one.time for one in samplings], [one.slot for one in samplings]
     return Line(events, times, slots, positions.tolist(), named)
 
@@ -177,7 +177,7 @@ def _sync_times(plan: Plan) -> list[float]:
     blocked = np.where(rng.uniform(size=n) < plan.busy, rng.uniform(0.0, 135.0, n), 0.0)
     if plan.jitter_us == 0.0 and not plan.locked:
         blocked[:] = 0.0
-    # The SYNC jitters about 1, 2, 3, ... T; half a period at most, or it is another fault.
+    # The SYNC jitters about 1, 2, 3, ... T by less than half a period; more would be another fault.
     late = np.array([slot.late_us for slot in plan.slots])
     jitter = np.clip((jitter + blocked) * plan.us, -0.45, 0.45) + late * plan.us
     times: list[float] = (np.arange(1.0, n + 1.0) + jitter).tolist()
@@ -187,12 +187,12 @@ def _sync_times(plan: Plan) -> list[float]:
 def _send_samples(
     plan: Plan, samplings: list[_Sampling], positions: np.ndarray, events: list[Event]
 ) -> list[float]:
-    """The moments that their times name."""
+    """Add the PDOs of the samples; returns the instants according to their sample times."""
     rng, us, exact = plan.rng, plan.us, plan.options.exact
     named = [one.time for one in samplings]
     tracks = partial(counts, rng=rng, exact=exact, amplitude=AMPLITUDE_COUNTS, most_noise=math.inf)
     sine, cosine = tracks(positions)
-    # The clock of the interface takes the earlier pairs, wherever the newest one is.
+    # The clock of the interface determines the instants of earlier pairs, relative to the newest.
     apart = np.diff(named, prepend=named[0] - 1.0) if plan.options.follows else 1.0
     pairs = plan.setup.servo
     earlier = [tracks(plan.motion.at(np.subtract(named, k / pairs * apart))) for k in range(1, pairs)]
@@ -200,11 +200,11 @@ def _send_samples(
     if rng.integers(3) == 0:  # the clock of the interface wraps during the episode
         offset = (1 << 32) - int(rng.uniform(0.0, plan.end * plan.options.interval_s / TICK_S))
     busy = rng.uniform(size=len(samplings)) < plan.busy
-    # 95 us for the frame, some work, and perhaps a frame before it; a fast bus has less of all.
+    # 95 us for the frame, some work, and possibly a frame before it; at short intervals less of all.
     work, blocked = rng.uniform(140.0, 220.0, len(samplings)), rng.uniform(0.0, 135.0, len(samplings))
     latest = LATEST_PDO * rng.uniform(0.8, 1.0, len(samplings))
     waits = np.minimum((work + busy * blocked) * us, latest).tolist()
-    free = 0.0  # when the interface can send again: its PDOs do not overtake each other
+    free = 0.0  # time from which the interface can send: its PDOs keep their order
     for n, one in enumerate(samplings):
         slot = plan.slots[one.slot]
         data = struct.pack("<hh", sine[n], cosine[n])
@@ -245,7 +245,7 @@ def _send_foreign(plan: Plan, events: list[Event]) -> None:
 
 
 def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes:
-    """What RPDO2 carries of a sample at time ``here``: coarse track, zero pulse, second position."""
+    """Data of RPDO2 for a sample at time ``here``: coarse track, zero pulse, second position."""
     data = b""
     if plan.options.coarse:
         angle = 2.0 * math.pi * (plan.motion.at([here])[0] / CYCLES_PER_REVOLUTION % 1.0)
@@ -262,7 +262,7 @@ def _extra(plan: Plan, slot: Slot, before: float, here: float) -> bytes:
 
 
 def _zero_pulse(motion: Motion, before: float, here: float) -> float | None:
-    """Where between these two times the zero pulse was: 40 cycles from the start, then once a revolution."""
+    """Place of the zero pulse between these two times, 0..1; pulses at FIRST_PULSE, then every revolution."""
     begin, end = motion.at([before, here]).tolist()
     low, high = sorted((begin - FIRST_PULSE, end - FIRST_PULSE))
     turn = math.floor(high / CYCLES_PER_REVOLUTION) * CYCLES_PER_REVOLUTION

@@ -1,9 +1,9 @@
-"""What no module can see: the few wire faults whose frames are those of a healthy machine.
+"""Undetectable wire faults: those whose frames are also frames of a healthy machine.
 
-README.md has the cases P1 to P9 with their proofs. P1: a gap, or SYNCs too many, that may be a late host. P3:
-PDOs late by a period for good. P4: a sample time that is off by no more than the wire can be. P7: a PDO that
-answers another SYNC, when its answer is due. P8: a step of SYNC within the noise of receive times. P9: as P4,
-for the speed, too.
+README.md has the cases P1 to P9 with their proofs. P1: a gap, or additional SYNCs, that may be a late host.
+P3: PDOs late by a period for good. P4: a sample time with an error within the uncertainty of the wire. P7: a
+PDO that answers another SYNC, when the answer to that is due. P8: a step of SYNC within the noise of receive
+times. P9: as P4, but the speed is wrong as well.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from tools.faults.wire.line import Line, Plan
 from tools.faults.wire.setups import Setup
 
 LATEST_HOST_S = 5e-3
-STAMP_NOISE_S, STAMP_RIGHT_S = 1e-4, 1.05e-4  # of a step; of a time: 75 us (docs/time.md), and 30 us of noise
-STEP_PART = 0.55  # of the uniform noise: 1.9 standard deviations
+STAMP_NOISE_S, STAMP_RIGHT_S = 1e-4, 1.05e-4  # undetectable step of SYNC; error of a time (P4)
+STEP_PART = 0.55  # part of the uniform noise below which a step is never detected: 1.9 standard deviations
 STEP_SYNCS = 64
-EARLY = 0.45  # T: a SYNC by its jitter, at most
+EARLY = 0.45  # by how much jitter may make a SYNC early, T
 
 
 def host_may_be_late(setup: Setup, interval_s: float) -> bool:
-    """Whether a gap of one period may be the host's: nothing but the moment of the call has a time."""
+    """Whether a gap of one period may be a late host: only the time of the call is known."""
     return not (setup.counter or setup.stamps) and interval_s <= LATEST_HOST_S
 
 
 def stamp_tolerance(setup: Setup, interval_s: float) -> float:
-    """How far a sample time may be off unseen, T: by receive times, or by the jitter of the SYNC."""
+    """Largest undetectable error of a sample time, T, by the uncertainty of receive times or host."""
     return min(0.45, (STAMP_RIGHT_S if setup.stamps else LATEST_HOST_S) / interval_s)
 
 
 def step_note(plan: Plan, step: float) -> str:
-    """P8, P8 for some SYNCs, or nothing, for a SYNC that is off by ``step``, T."""
+    """Note on a SYNC shifted by ``step``, T: "P8", "P8 for a while" (for some SYNCs), or ""."""
     part = abs(step) * plan.options.interval_s / STAMP_NOISE_S
     return "P8" if part <= STEP_PART else "P8 for a while" if part <= 1.0 else ""
 
 
 def unseen(plan: Plan, until: float = math.inf) -> str:
-    """P1, P3, or nothing; by what comes ``until`` then, T: no module knows the rest."""
+    """Case "P1", "P3" or "", by the events up to ``until``, T: later ones are not known yet."""
     if plan.setup.times:
         return ""
     late = [n for n, slot in enumerate(plan.slots) if slot.pdo_late_us * plan.us > 0.99]
@@ -67,13 +67,13 @@ def _is_short(plan: Plan, until: float) -> bool:
 
 
 def answers_another(line: Line) -> bool:
-    """A PDO comes when that of a later SYNC than its own is due, heard or not (P7)."""
+    """Whether a PDO comes when the PDO of a later SYNC is due, received or not (P7)."""
     due = [slot + 2.0 - EARLY for slot in line.sample_slots]  # slot n is due at n + 1
     return any(event.what == "pdo" and event.time >= due[event.number] for event in line.events)
 
 
 def is_smooth(shown: Sequence[tuple[float, float]], limit: float, whole: float) -> bool:
-    """Whether a motion within ``limit`` (cycles/T^2) goes through all (time, position); modulo ``whole``."""
+    """Whether a motion within ``limit`` (cycles/T^2) fits all (time, position), modulo ``whole``."""
     speeds = []
     for (time, position), (next_time, next_position) in itertools.pairwise(shown):
         if next_time > time:

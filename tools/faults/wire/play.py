@@ -1,7 +1,7 @@
-"""One episode: drawn, laid on the wire, played on the module, judged; and printed in full.
+"""One episode: drawn, converted to frames, played on the module, judged; and printed in full.
 
-The process of the module sleeps until a frame arrives or a deadline is due, wakes up late, takes all frames
-that wait, and then looks at its deadline. Frames keep their order.
+The process of the module sleeps until a frame arrives or a deadline is due, wakes up late, processes all
+waiting frames, and then checks its deadline. Frames keep their order.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from tools.faults.wire.setups import EMCY_ID, INTERFACE, NODE, SETUPS, set_up
 START_S = 100.0
 PER_FRAME_S = 8e-6
 STAMP_NOISE_S = 30e-6
-ENDLESS = 1000  # ticks in a row without progress
+ENDLESS = 1000  # successive ticks without progress that end an episode
 EVERY = CLASSES | STALLS
-SHOWN_BEFORE = 6  # slots
-GAUSSIAN, BLOCKED_US = 4.5, 135.0  # standard deviations: one of 150 000; a frame before a SYNC
+SHOWN_BEFORE = 6  # slots before the fault that are printed
+GAUSSIAN, BLOCKED_US = 4.5, 135.0  # standard deviations (exceeded by one in 150 000); longest wait of a SYNC
 BLOCK = 256
 LATENCIES_S: dict[str, Callable[[np.random.Generator], npt.NDArray[np.float64]]] = {
     "quick": lambda rng: rng.uniform(10e-6, 80e-6, BLOCK),
@@ -42,7 +42,7 @@ def latencies_s(host: str, rng: np.random.Generator) -> Iterator[float]:
 
 
 def _noise(plan: Plan, count: int) -> list[float]:
-    """What is wrong with each receive time, seconds."""
+    """Errors of the receive times, seconds."""
     noise = plan.rng.uniform(0.0, STAMP_NOISE_S, count)
     if plan.bad_rx:
         bad = np.where(plan.rng.integers(2, size=count) == 0, 9e-4, plan.rng.normal(0.0, 1.0, count))
@@ -52,7 +52,7 @@ def _noise(plan: Plan, count: int) -> list[float]:
 
 
 def drive(module: FeedbackModule, plan: Plan, events: list[Event], begin_s: float) -> list[Sent]:
-    """What the module sends when it is run over the events."""
+    """Process the events by the module; returns the frames that it sends."""
     interval_s, rng, stamps = plan.options.interval_s, plan.rng, plan.setup.stamps
     latency = latencies_s(plan.host, rng)
     noise = _noise(plan, len(events)) if stamps else []
@@ -61,7 +61,7 @@ def drive(module: FeedbackModule, plan: Plan, events: list[Event], begin_s: floa
     sent: list[Sent] = []
     times = [begin_s + event.time * interval_s for event in events]
     at, count, now, stuck = 0, len(events), begin_s, 0
-    # A sample is heard with its last part, or at the SYNC at which a synchronous RPDO is taken.
+    # A sample is received with its last part, or at the SYNC that takes over a synchronous RPDO.
     last_part = "extra" if plan.options.extra or plan.options.coarse else "pdo"
     if plan.options.rpdo_type == 1:
         last_part = "sync"
@@ -96,7 +96,7 @@ def drive(module: FeedbackModule, plan: Plan, events: list[Event], begin_s: floa
             stuck = 0
         due = module.deadline()
         if now >= end_s:
-            break  # nothing comes any more
+            break  # no further events
         if due is not None and due <= now:
             elapsed = (now - begin_s) / interval_s
             sent += [Sent(elapsed, None, one, newest) for one in module.tick(now)]
@@ -116,7 +116,7 @@ class Episode(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Episode:
-        """CLASS:SETUP:SEED; ValueError if there is no such class or set-up."""
+        """The episode CLASS:SETUP:SEED; ValueError for an unknown class or set-up."""
         name, setup, seed = text.rsplit(":", 2)
         if name not in EVERY or setup not in SETUPS:
             raise ValueError(f"there is no {name}:{setup}")
@@ -139,7 +139,7 @@ def plan_of(episode: Episode) -> Plan:
     wire_class.change(plan)
     if not plan.note:
         plan.note = unseen(plan)
-    if pushed and not plan.actions:  # what begins in a pause is not seen
+    if pushed and not plan.actions:  # motion that begins in a pause is undetectable
         torque(plan)
     keep_regular(plan)
     if not setup.servo:
@@ -149,14 +149,14 @@ def plan_of(episode: Episode) -> Plan:
 
 
 def declare(plan: Plan) -> None:
-    """2010:02 is at least what the machine does; where it is not set, what 2010:0B assumes is."""
+    """Raise 2010:02, or if it is not set 2010:0B, to the acceleration of the machine."""
     largest = plan.motion.largest_acceleration(plan.end)
     if largest > (plan.options.limit or UNKNOWN_LIMIT):
         plan.options.limit = largest
 
 
 def jitter_s(plan: Plan) -> float:
-    """2010:0D: what the wire has, and the noise of a receive time."""
+    """2010:0D: jitter of the wire, and noise of a receive time."""
     blocked_us = BLOCKED_US if plan.busy and (plan.jitter_us or plan.locked) else 0.0
     return 1e-6 * (plan.jitter_us * (GAUSSIAN if plan.gaussian else 1.0) + blocked_us) + STAMP_NOISE_S
 
@@ -174,7 +174,7 @@ def play(episode: Episode) -> Played:
 
 
 def trace(episode: Episode, every: bool) -> int:
-    """Print one episode: what was planned, heard and sent; 1 if a valid position was wrong."""
+    """Print one episode: plan, frames received and sent; 1 if a valid position was wrong."""
     played = play(episode)
     plan = played.plan
     print(f"{episode}: {played.verdict.outcome}")

@@ -1,4 +1,4 @@
-"""How the module and the bus are set up: SYNC counter, sample times, 1006h, receive timestamps."""
+"""Set-ups of module and bus: SYNC counter, sample times, 1006h, receive time stamps."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ SYNC_ID, NMT_ID = 0x080, 0x000
 ADC_ID, EXTRA_ID, TIMES_ID = 0x180 + INTERFACE, 0x280 + INTERFACE, 0x380 + INTERFACE
 TPDO1_ID, EMCY_ID, SDO_TX, SDO_RX = 0x180 + NODE, 0x080 + NODE, 0x580 + NODE, 0x600 + NODE
 CYCLES_PER_REVOLUTION = 2500
-UNITS_PER_CYCLE = 8192  # 6004h without scaling
-RANGE_CYCLES = 209 * CYCLES_PER_REVOLUTION  # where 6004h wraps
+UNITS_PER_CYCLE = 8192  # of 6004h without scaling
+RANGE_CYCLES = 209 * CYCLES_PER_REVOLUTION  # range after which 6004h wraps
 SECOND_INCREMENTS = 1 << 20  # 2014:01, per revolution
 TWO_PI = 6.283185307179586
 WRITE_REPLY = 0x60
-SECOND, THIRD = (0x20000810, 0x20000910), (0x20000A10, 0x20000B10)  # pairs of one SYNC
+SECOND, THIRD = (0x20000810, 0x20000910), (0x20000A10, 0x20000B10)  # earlier pairs of one SYNC
 
 
 @dataclass(frozen=True)
 class Setup:
     """One column of the campaign.
 
-    counter: the SYNC has one; times: the ADC PDO holds the sample time; period: 1006h is written (None:
-    in half of the episodes); stamps: frames carry their receive time; servo: pairs of tracks for each
-    SYNC, with the motion of a servo.
+    counter: SYNC has a counter; times: the ADC PDO contains the sample time; period: 1006h is written (None:
+    in half of the episodes); stamps: frames have their receive time; servo: pairs of tracks for each
+    SYNC, with the motion of a servo (0: one pair, other motions).
     """
 
     name: str
@@ -37,7 +37,7 @@ class Setup:
     servo: int = 0
 
     def fits(self, words: str) -> bool:
-        """Whether it has all of these, and none of those with a !; | separates alternatives."""
+        """Whether the set-up has all of these properties, and none marked !; | separates alternatives."""
         return any(
             all(bool(getattr(self, word.lstrip("!"))) != word.startswith("!") for word in part.split())
             for part in words.split("|")
@@ -62,18 +62,18 @@ SETUPS = {
 
 @dataclass
 class Options:
-    """What one episode sets in the module, beyond its :class:`Setup`."""
+    """Settings of the module in one episode, in addition to its :class:`Setup`."""
 
     interval_s: float = 1e-3
     jitter_s: float = 0.0  # 2010:0D
     answer_s: float = 0.0  # 2010:0E
-    coast: int | None = None  # 2010:03; None: as delivered
+    coast: int | None = None  # 2010:03; None: default
     limit: float | None = None  # 2010:02 in cycles/T^2; None: not known
     margin: int = 0  # 2010:09
     exact: bool = False  # tracks without errors of the cycle, as with a correction table
     overflow: int = 10
     period: bool = False  # write 1006h
-    period_factor: float = 1.0  # what 1006h says, relative to the truth
+    period_factor: float = 1.0  # 1006h / true period
     rpdo_type: int = 255
     tpdo_type: int = 254
     event_timer_ms: int = 0
@@ -82,12 +82,12 @@ class Options:
     coarse: bool = False  # RPDO2 with the coarse track
     second: float = 0.0  # RPDO2 with a second position: 2014:04, revolutions
     stays: bool = False  # 1029h:01 is 1: OPERATIONAL also without a bus
-    follows: bool = False  # the earlier sample lies in the middle at another rate, too
+    follows: bool = False  # earlier samples divide the interval evenly also after a change of the rate
     acceleration: bool = False  # TPDO3 with status and 2011:09
 
 
 def set_up(module: FeedbackModule, setup: Setup, options: Options, now: float) -> float:
-    """From PRE-OPERATIONAL to OPERATIONAL with this set-up; when the episode begins, seconds."""
+    """Configure and start the module with this set-up; returns the begin of the episode, seconds."""
     for request in configuration(setup, options):
         now += 1e-4
         frames = module.receive(request, now)
@@ -133,7 +133,7 @@ def configuration(setup: Setup, options: Options) -> list[Frame]:
 
 
 def _mapping(index: int, cob_id: int, objects: tuple[int, ...], kind: int) -> list[Frame]:
-    """A PDO with these objects, not valid while it is mapped."""
+    """SDO writes that map a PDO with these objects; it is not valid during this."""
     mapping = index + 0x200
     return [
         sdo_write(index, 1, "I", 0xC0000000 | cob_id),
