@@ -1,1 +1,1 @@
-"""Inputs of a fuzzer, played to the devices."""
+"""Plays inputs of a fuzzer to the devices and the readers of files."""

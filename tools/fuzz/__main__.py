@@ -40,8 +40,8 @@ UNTRACED = ["canfb.signal.*", "canfb.calibration.*"]
 def player(
     target: str, folder: Path, show: Callable[[str], None] = lambda line: None
 ) -> Callable[[bytes], object]:
-    """Plays the bytes of an input. Raises what is found; `show` gets what the input is."""
-    from tools.fuzz import body, files, inputs  # what it fuzzes, traced by then
+    """A function that plays the bytes of an input, and raises findings; `show` gets the input as text."""
+    from tools.fuzz import body, files, inputs  # imported here, when tracing has begun
 
     if target == "files":
         return lambda data: show("accepted" if files.play(data, folder) else "refused")
@@ -57,12 +57,12 @@ def player(
 
 
 def fuzz(target: str, arguments: list[str], *, blind: bool) -> None:
-    """Run until a find, or as long as the options of libFuzzer say. Does not return."""
+    """Run until the first finding, or as the options of libFuzzer say. Does not return."""
     try:
         import atheris
     except ImportError:
         sys.exit("atheris is missing: python -m pip install 'atheris>=3.0'")
-    import numpy as np  # what is loaded before is not traced
+    import numpy as np  # imported before tracing begins, so not traced
 
     traced = atheris.instrument_imports(include=["canfb", "can", "canopen"], exclude=UNTRACED)
     with contextlib.nullcontext() if blind else traced:
@@ -74,11 +74,11 @@ def fuzz(target: str, arguments: list[str], *, blind: bool) -> None:
         (corpus / hashlib.sha1(seed).hexdigest()).write_bytes(seed)
     with tempfile.TemporaryDirectory() as folder:
         one = player(target, Path(folder))
-        for path in corpus.iterdir():  # what is loaded with the first input is none of its doing
+        for path in corpus.iterdir():  # imports caused by the first input must not count as its own
             one(path.read_bytes())
         limits = [
             "-len_control=0",
-            "-keep_seed=1",  # without tracing none of them would show new code
+            "-keep_seed=1",  # keep the seeds, as without tracing none reaches new code
             f"-rss_limit_mb={MEGABYTES}",
             f"-timeout={SECONDS}",
             f"-max_len={LONGEST[target]}",
@@ -89,7 +89,7 @@ def fuzz(target: str, arguments: list[str], *, blind: bool) -> None:
 
 
 def again(target: str, path: Path) -> int:
-    """Play an input again; exit code 1 for a find, whose traceback is printed."""
+    """Play an input again; exit code 1 for a finding, with its traceback."""
     with tempfile.TemporaryDirectory() as folder:
         try:
             player(target, Path(folder), lambda line: print(f"{path}: {line}"))(path.read_bytes())

@@ -1,9 +1,9 @@
-"""Play an input of the fuzzer to a device, and check all that must hold whatever comes from the bus.
+"""Play an input of the fuzzer to a device, and check what must hold for any frames from the bus.
 
-The checks: nothing raises; a device sends only what its NMT state allows, from CAN-IDs that it has, and not
-more than a few frames at a time; the answers of an SDO server are what CiA 301 knows; the deadline is not in
-the past; values are within their limits and PDO mappings would be accepted again; in the end the SDO server
-serves the next client.
+The checks: nothing raises; a device sends only what its NMT state allows, with its own CAN-IDs, and at most a
+few frames at a time; an SDO server answers as CiA 301 defines; the deadline is not in the past; values are
+within their limits, and PDO mappings would be accepted again; at the end the SDO server serves the next
+client.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ _ABSENT = Entry(0, 0, DataType.UNSIGNED32, default=cob.NOT_VALID)
 MOST_FRAMES = 160
 """Sent in one call: a block of an SDO upload, and what else may be due."""
 MOST_TICKS = 50
-BLOCK_S = 0.05  # time for a block of an upload, and short of a time-out
+BLOCK_S = 0.05  # time for a block of an upload, shorter than the SDO time-out
 LIVE_LIMITS = frozenset({0x1003})
 """Objects whose limits say what may be written, not what may be read."""
 
 
 class Turning:
-    """Samples of an encoder that turns; every 7th is lost."""
+    """Samples of a turning encoder; every 7th is lost."""
 
     def __init__(self) -> None:
         self._count = itertools.count()
@@ -58,23 +58,23 @@ class Turning:
 
 
 def make(choice: int, store: MemoryStore | None = None) -> Device:
-    """One of the devices: the module, the module that starts by itself, the encoder interface."""
+    """One of the devices: the module, the module with autostart, the encoder interface."""
     if choice % 3 == 2:
         return EncoderInterface(NODE_ID, Turning(), store=store)
     return FeedbackModule(ModuleConfig(node_id=NODE_ID, autostart=choice % 3 == 1), store)
 
 
 class Services(NamedTuple):
-    """What a device may send: by CAN-ID the NMT states in which it may; the answers of its SDO servers."""
+    """Frames that a device may send: NMT states in which it may, by CAN-ID; answers of its SDO servers."""
 
     ids: dict[int, frozenset[NmtState]]
     answer: int
-    second: tuple[int, int] | None  # request and answer of the second server, while it is there
+    second: tuple[int, int] | None  # CAN-IDs of request and answer of the second server, if it exists
 
     @staticmethod
     @lru_cache(maxsize=1024)
     def of(node_id: int, *cob_ids: int) -> Services:
-        """Those of a node-ID and of the values of TPDOS, EMERGENCY, SYNC and SECOND_CHANNEL."""
+        """Services of a node-ID, given the values of TPDOS, EMERGENCY, SYNC and SECOND_CHANNEL."""
         everywhere, operational = frozenset(COMMUNICATING), frozenset({NmtState.OPERATIONAL})
         *tpdos, emergency, sync, request, answer = cob_ids
         both = cob.is_valid(request) and cob.is_valid(answer)
@@ -102,7 +102,7 @@ class Play:
 
     @property
     def node_id(self) -> int:
-        """The present one: LSS may change it."""
+        """The present node-ID, which LSS may change."""
         return self.device.node_id
 
     def start(self) -> None:
@@ -130,7 +130,7 @@ class Play:
         self._check_deadline()
 
     def wait(self, pause_s: float, *, punctual: bool) -> None:
-        """Let time pass: a tick at the end and, if punctual, up to MOST_TICKS when they are due."""
+        """Wait; tick at the end and, if punctual, also when due, at most MOST_TICKS times."""
         end = self.now + pause_s
         for _ in range(MOST_TICKS if punctual else 0):
             due = self.device.deadline()
@@ -153,7 +153,7 @@ class Play:
             self.wait(BLOCK_S if requests else 0.0, punctual=True)
 
     def _addressed(self, frame: Frame) -> Frame:
-        """What an input sends to NODE_ID goes to the node-ID that the device has by now."""
+        """A frame of an input for NODE_ID, readdressed to the present node-ID of the device."""
         if frame.can_id == SERVER:
             node_id = self.node_id
             changed = node_id not in (NODE_ID, UNCONFIGURED)
@@ -201,11 +201,11 @@ class Play:
             self._second.reset()
 
     def check_values(self) -> None:
-        """Every value fits its type and its limits; every mapping that is in force would be accepted."""
+        """Check that every value fits its type and limits, and every mapping in force would be accepted."""
         for entry in self.dictionary:
             if entry.on_read is None and entry.index not in LIVE_LIMITS:
                 entry.check_limits(entry.value)
-            with suppress(SdoAbort):  # a live value that is not there
+            with suppress(SdoAbort):  # a live value may be unavailable
                 entry.encode()
         for direction in Direction:
             for number in numbers(self.dictionary, direction):
@@ -223,7 +223,7 @@ class Play:
                 resolve_all(self.dictionary, [int(value) for value in values], direction)
 
     def check_alive(self) -> None:
-        """The next client is served: after a second of silence, in PRE-OPERATIONAL."""
+        """Check that the next client is served: after a second of silence, in PRE-OPERATIONAL."""
         self.wait(3.0, punctual=False)
         if self.node_id == UNCONFIGURED:
             for request in (b"\x04\x01", bytes([0x11, NODE_ID]), b"\x04\x00"):
@@ -241,7 +241,7 @@ class Play:
 
 
 def play(given: Input) -> int:
-    """One input, from power-on to the last check: how many frames came. Raises when something is wrong."""
+    """Play one input, from power-on to the last check; returns the number of frames. Raises findings."""
     choice = given.device
     store = MemoryStore() if choice & SAVING else None
     received = _played(make(choice, store), given.steps, unstarted=bool(choice & UNSTARTED))

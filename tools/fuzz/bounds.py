@@ -1,6 +1,6 @@
-"""What an input must not do: take much processor time or memory, write files, start programs.
+"""Limits of an input: processor time, memory; it must not write files or start programs.
 
-Time is that of the processor: no limit depends on what else the computer does.
+Time is processor time, which does not depend on other work of the computer.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MOVES = frozenset({"os.rename", "os.link"})
 
 
 class BeyondBoundsError(BaseException):
-    """An input did what none may do. No ``except Exception`` hides it."""
+    """An input exceeded a limit. Not an Exception, so that ``except Exception`` does not hide it."""
 
 
 _folder: str | None = None
@@ -55,7 +55,7 @@ def _hook(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 def _is_ours(name: object) -> bool:
-    """Whether this is a path in the folder, or an open file."""
+    """Whether ``name`` is a path in the folder, or the descriptor of an open file."""
     if isinstance(name, (str, bytes)) and _folder is not None:
         return os.path.abspath(os.fsdecode(name)).startswith(_folder)
     return isinstance(name, int)
@@ -68,7 +68,7 @@ def _hook_for_good() -> None:
 
 @contextmanager
 def bounded(folder: Path, seconds: float = LONGEST_S, memory: int = MOST_MEMORY) -> Iterator[None]:
-    """BeyondBoundsError for what takes more, and for what is written outside of ``folder`` or started."""
+    """BeyondBoundsError for more time or memory, writing outside of ``folder``, or starting a program."""
     global _folder
     _hook_for_good()
     before, cached = signal.signal(signal.SIGVTALRM, _too_long), sys.dont_write_bytecode

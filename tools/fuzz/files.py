@@ -1,7 +1,7 @@
 """Files from outside: an input is the number of a reader in READERS, and the content of its file.
 
-A reader returns for a file that it accepts, and raises one of its refusals, in one line, for another. What
-inputs begin with are small files that the program itself writes, or that stand in eds/ and docs/.
+A reader returns for a file that it accepts, and otherwise raises one of its refusals, with one line of text.
+The initial inputs are small files written by the program itself, or from eds/ and docs/.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class NotOneLineError(Exception):
 
 @dataclass(frozen=True)
 class Reader:
-    """Of files that end with ``suffix``: ``read`` a file, what refuses it, and ``begin``, good files."""
+    """A reader of files that end with ``suffix``: ``read``, its refusals, and ``begin``: good files."""
 
     suffix: str
     read: Callable[[Path], object]
@@ -102,7 +102,7 @@ class Reader:
 
 
 def play(data: bytes, folder: Path) -> bool:
-    """False: the input is refused as it should be. Raises what is found, BeyondBoundsError too."""
+    """Play an input; False: it was properly refused. Raises findings, also BeyondBoundsError."""
     reader = READERS[data[0] % len(READERS) if data else 0]
     path = folder / f"input{reader.suffix}"
     path.write_bytes(data[1:])
@@ -237,7 +237,7 @@ def _logs(suffix: str, **options: Any) -> Callable[[], list[bytes]]:
             for one, data in frames
         ]
         others = [can.Message(timestamp=1.7e9 + 1, arbitration_id=0x18FF0001, data=b"12", channel=1)]
-        if suffix != ".trc":  # its writer knows no other frames
+        if suffix != ".trc":  # its writer supports no other frames
             others += [
                 can.Message(timestamp=1.7e9 + 2, arbitration_id=0x7A0, is_remote_frame=True, dlc=3),
                 can.Message(timestamp=1.7e9 + 3, is_error_frame=True),
@@ -254,7 +254,7 @@ def _logs(suffix: str, **options: Any) -> Callable[[], list[bytes]]:
 
 
 def _state(path: Path) -> None:
-    """A damaged parameters.bin in a state_dir, its checksum right: the module starts, works, and saves."""
+    """A damaged parameters.bin in a state_dir, with a correct CRC: the module must start, work, and save."""
     data, folder = path.read_bytes(), path.parent / "state"
     folder.mkdir(exist_ok=True)
     sealed = data[:-4] + struct.pack("<I", zlib.crc32(data[:-4]))

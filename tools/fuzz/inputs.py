@@ -1,8 +1,8 @@
-"""What a fuzzer, or hypothesis, sends to a device: strategies of frames with times, and inputs as text.
+"""Inputs of a fuzzer, or hypothesis, for a device: strategies of frames with times, and inputs as text.
 
-A line of tests/tools/fuzz_corpus.txt is the device in hex (then what damages its store), and steps: frames
-as `620#40001000` (R for #: remote), + between those that come at once, *N that come so often; a pause as
-`_0.1` (s), or `~0.1` with ticks when they are due; `>ROUNDS:CONTENT:SPOIL` where a client goes on.
+A line of tests/tools/fuzz_corpus.txt is the device in hex (then the damage of its store), and steps: frames
+as `620#40001000` (R instead of #: remote), joined by + if simultaneous, *N: repeated; a pause as `_0.1` (s),
+or `~0.1` with ticks when due; `>ROUNDS:CONTENT:SPOIL`: a client continues.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ LAYOUTS += [(0x20000110, 0x20000210, 0x00050008, 0x20000608), (0x20000510,), ()]
 
 @dataclass(frozen=True)
 class Step:
-    """Frames that come at once, then a pause, seconds. `punctual`: ticks come when the deadline says.
+    """Simultaneous frames, then a pause, seconds. `punctual`: ticks at the deadlines.
 
-    Then a good client goes on with the transfer that runs, for `follow` rounds; `content` of CONTENTS is what
-    it writes, and `spoil` what it adds to the CRC.
+    Then a correct client continues the running transfer for `follow` rounds; it writes `content` of CONTENTS,
+    and adds `spoil` to the CRC.
     """
 
     frames: tuple[Frame, ...] = ()
@@ -68,7 +68,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Input:
-    """A device, what happens to it, and how its store is damaged (:func:`tools.fuzz.body.damage`)."""
+    """A device, steps, and damage of its store (:func:`tools.fuzz.body.damage`)."""
 
     device: int
     steps: Sequence[Step] = ()
@@ -115,7 +115,7 @@ def number(most: int = 255, *, least: int = 0, times: int = 1, size: int = 1) ->
 
 
 def frame(can_id: int, *parts: bytes | Bytes) -> st.SearchStrategy[Frame]:
-    """A frame whose data are these parts."""
+    """A frame whose data consists of these parts."""
     drawn = st.tuples(*(st.just(part) if isinstance(part, bytes) else part for part in parts))
     return drawn.map(lambda data: Frame(can_id, b"".join(data)))
 
@@ -132,7 +132,7 @@ def step(*frames: st.SearchStrategy[Frame], pause_s: float = 0.0) -> Steps:
 
 
 def _segments(kind: int, count: int, is_last: bool, filler: bytes) -> Step:
-    """Requests with commands that count or toggle, as a good client sends them."""
+    """Segments with commands that count or toggle, as from a correct client."""
     frames = []
     for n in range(count):
         toggle, last = 0x10 * (n & 1), is_last and n == count - 1
@@ -142,12 +142,12 @@ def _segments(kind: int, count: int, is_last: bool, filler: bytes) -> Step:
 
 
 def _writes(*writes: tuple[int, int, int, int]) -> Step:
-    """Command, index, sub-index and value of each."""
+    """SDO writes: command, index, sub-index and value of each."""
     return Step(tuple(Frame(SERVER, struct.pack("<BHBI", *one)) for one in writes))
 
 
 def _mapped(pdo: int, cob_id: int, objects: Sequence[int], kind: int) -> Step:
-    """Off, other objects, on: the whole sequence of a mapping."""
+    """The whole sequence of a mapping: PDO off, other objects, PDO on."""
     mapping = pdo + 0x200
     return _writes(
         *((0x23, pdo, 1, cob_id | 1 << 31), (0x2F, mapping, 0, 0)),
@@ -199,7 +199,7 @@ KINDS: tuple[Steps, ...] = (
         take(4),
     ),
     st.builds(Step, st.just(()), st.sampled_from(PAUSES_S), st.booleans()),
-    step(  # makes the second SDO channel valid, as a master would
+    step(  # enables the second SDO channel, as a master would
         request(b"\x23\x01\x12\x01", SECOND_SERVER.to_bytes(4, "little")),
         request(b"\x23\x01\x12\x02", SECOND_ANSWER.to_bytes(4, "little")),
     ),
@@ -212,7 +212,7 @@ KINDS: tuple[Steps, ...] = (
     ),
     st.builds(_mapped, st.just(0x1400), st.just(0x190), st.sampled_from(LAYOUTS), BYTE),
     step(frame(0x080), frame(0x190, take(8)), pause_s=0.001),
-    step(  # SYNC, heartbeat and TIME of others watched, SYNC of its own, with times that are near
+    step(  # consumes SYNC, heartbeat and TIME, produces SYNC, with short times
         request(b"\x23\x06\x10\x00", number(times=100, size=4)),
         request(b"\x23\x16\x10\x01", number(), b"\x00\x47\x00"),
         request(b"\x23\x12\x10\x00\x00\x01\x00\x80"),
@@ -226,7 +226,7 @@ KINDS: tuple[Steps, ...] = (
     step(frame(LSS, pick(LSS_COMMANDS), take(2), bytes(5))),
     step(frame(LSS, b"\x11", pick(NODE_IDS), bytes(6))),
     step(frame(LSS, pick([0x04, 0x13]), number(2), number(9), bytes(5))),
-    step(  # another node-ID, and what puts it in force: configuration, store, waiting, reset
+    step(  # sets another node-ID by LSS: configuration, store, waiting, reset
         frame(LSS, b"\x04\x01", bytes(6)),
         frame(LSS, b"\x11", pick(NODE_IDS), bytes(6)),
         frame(LSS, b"\x17", bytes(7)),

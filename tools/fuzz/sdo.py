@@ -1,4 +1,4 @@
-"""SDO seen from the bus alone (CiA 301, 7.2.4.3): what a server may answer, and a client that goes on."""
+"""SDO as observed on the bus (CiA 301, 7.2.4.3): permitted answers of a server; a client that continues."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from canfb.cia301.codes import AbortCode
 ABORT = 0x80
 ABORT_CODES = {int(code) for code in AbortCode}
 LARGEST_BLOCK = 127
-# What may answer a request, by the command specifiers (bits 5 to 7) of both. An abort always may.
+# Permitted answers to a request, by the command specifiers (bits 5 to 7) of both, in addition to an abort.
 ANSWERS = {0: {1}, 1: {3}, 2: {2}, 3: {0}, 4: set[int](), 5: {2, 6}, 6: {5}, 7: set[int]()}
 CLIENT_ABORTS = 4
 BLOCK_UPLOAD, START, ACKNOWLEDGE = 5, 3, 2
@@ -18,11 +18,11 @@ _START, _ACKNOWLEDGE, _END = 0xA3, 0xA2, 0xA1
 
 
 class Broken(AssertionError):
-    """The device did what it must not."""
+    """The device violated a rule."""
 
 
 def demand(good: object, text: str) -> None:
-    """Broken with the text unless `good`."""
+    """Raise Broken with the text unless `good`."""
     if not good:
         raise Broken(text)
 
@@ -35,14 +35,14 @@ class SdoWatcher:
 
     def reset(self) -> None:
         self._request = bytes(8)
-        self._left = 0  # answers that the server still may give
+        self._left = 0  # number of answers that the server may still give
         self._next = 0  # sequence number of the next segment of a block upload, 0 outside of one
         self._in_block_download = False
-        self._size: int | None = None  # announced by the server, of a segmented upload
+        self._size: int | None = None  # size of a segmented upload, announced by the server
         self._uploaded = 0
 
     def request(self, data: bytes) -> None:
-        """A frame of the client; one that is not 8 bytes long is no request."""
+        """A frame of the client; if it is not 8 bytes long, it is not a request."""
         if len(data) != 8:
             return
         self._request = data
@@ -50,7 +50,7 @@ class SdoWatcher:
         self._left = 0 if data[0] >> 5 == CLIENT_ABORTS and not self._in_block_download else 1
 
     def waiting(self) -> None:
-        """Time passes: a client that stays silent may be told so, once."""
+        """Time passes: the server may send one time-out abort to a silent client."""
         self._left = 1
 
     def answer(self, data: bytes) -> None:
@@ -123,11 +123,11 @@ class SdoWatcher:
 
 
 class Follower:
-    """A good client that goes on with whatever transfer runs: so a fuzzer, or a load, gets to their ends.
+    """A correct client that continues any running transfer, so that a fuzzer, or a load, completes it.
 
-    `heard` takes the answers of the server, `requests` says what a client sends next.
+    `heard` processes the answers of the server, `requests` gives the next frames of the client.
 
-    `content` is what it writes in a download, None where the first request said all; `spoil` is added to the
+    `content` is the data of a download, None if the first request contained it; `spoil` is added to the
     CRC of a block download.
     """
 
@@ -135,9 +135,9 @@ class Follower:
         self.content: bytes | None = b""
         self.spoil = 0
         self._last = b""
-        self._streamed: int | None = None  # segments of the block that comes now
+        self._streamed: int | None = None  # segments received of the present block
         self._toggle = 0
-        self._sent = 0  # segments
+        self._sent = 0  # segments sent
 
     def heard(self, data: bytes) -> None:
         if self._streamed is not None and data[0] & 0x7F == self._streamed + 1:
@@ -146,11 +146,11 @@ class Follower:
             self._streamed, self._last = None, data
 
     def is_within_block(self, data: bytes) -> bool:
-        """After this answer more segments come by themselves."""
+        """Whether more segments follow this answer without a request."""
         return self._streamed is not None and self._streamed < LARGEST_BLOCK and not data[0] & 0x80
 
     def requests(self) -> list[bytes]:
-        """The next frames; none where nothing runs that could go on."""
+        """The next frames; none if no transfer can continue."""
         if self._streamed is not None:
             streamed, self._streamed = self._streamed, 0
             return [bytes([_ACKNOWLEDGE, streamed, LARGEST_BLOCK]) + bytes(5)]
@@ -191,7 +191,7 @@ class Follower:
         return bytes([head]) + segment.ljust(_SEGMENT, b"\0")
 
     def _block(self, size: int) -> list[bytes]:
-        """The next segments of a block download; its end when all of them have been taken."""
+        """The next segments of a block download, or its end when all were accepted."""
         content, left = self.content or b"", self._segments - self._sent
         if left <= 0:
             crc = crc_hqx(content, 0) + self.spoil & 0xFFFF
