@@ -1,1 +1,1 @@
-"""The claims of the paper, tried one by one."""
+"""Checks the claims of the paper one by one."""

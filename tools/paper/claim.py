@@ -1,4 +1,4 @@
-"""One claim of the paper: what comes out here, and whether it is as expected; docs/paper.md has the rest."""
+"""One claim of the paper: the result here, and whether it is as expected; docs/paper.md has the claims."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """What a claim turned out to be; every one but NO is as expected."""
+    """Verdict on a claim; all but NO are as expected."""
 
     YES = "yes"
     LIMITED = "within a limit"
@@ -18,7 +18,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Claim:
-    """The verdict holds the figures of `ours` against their bounds, on both sides."""
+    """A claim; `verdict` compares the figures of `ours` with bounds on both sides."""
 
     key: str
     ours: str
@@ -27,7 +27,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is simulated: samples of a long run, cases of a sweep, seconds of a recording."""
+    """Extent of the simulations: samples of a long run, cases of a sweep, seconds of a recording."""
 
     samples: int
     cases: int
@@ -45,7 +45,7 @@ def verdict(holds: bool, otherwise: Verdict = Verdict.YES) -> Verdict:
 
 
 def percent(part: float, digits: int = 3) -> str:
-    """A part of a cycle, or of something else, in per cent."""
+    """``part`` (of a cycle or anything else) in per cent."""
     return f"{100.0 * part:.{digits}g} %"
 
 

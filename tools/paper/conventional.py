@@ -1,4 +1,4 @@
-"""The conventional method of the introduction (Fig. 1) beside ours."""
+"""The conventional method of the introduction (Fig. 1), compared with that of the paper."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ SAMPLES = 1_000_000
 
 
 def quadrant(sine: FloatArray, cosine: FloatArray) -> FloatArray:
-    """0..3 of the cycle, from the signs of the tracks, as two comparators see it."""
+    """Quadrant of the cycle, 0..3, from the signs of the tracks, as two comparators give it."""
     return np.where(sine >= 0.0, np.where(cosine >= 0.0, 0.0, 1.0), np.where(cosine >= 0.0, 3.0, 2.0))
 
 
 def counted(encoder: Encoder, sampled: FloatArray, shift: float, fix: bool) -> FloatArray:
     """Positions (Fig. 1): an ideal counter of zero crossings, read `shift` cycles after two converters.
 
-    `fix` corrects the count where the quadrants show it.
+    `fix` corrects the count if the quadrants of counter and converters differ.
     """
     tracks = encoder.tracks(sampled + shift)
-    # The raw phase wraps where the counter counts, and is less than half a cycle off.
+    # The raw phase wraps where the counter counts, and its error is less than half a cycle.
     cycles = np.rint(sampled + shift - raw_phases(*tracks))
     read = [track.astype(np.float64) for track in encoder.sample(sampled, np.random.default_rng(21))]
     at, seen = quadrant(*tracks), quadrant(*read)
@@ -51,8 +51,8 @@ def counted(encoder: Encoder, sampled: FloatArray, shift: float, fix: bool) -> F
 
 
 def wrong_per_million(encoder: Encoder, rpm: float, shift: float, fix: bool, samples: int) -> float:
-    """Wrong positions per 10^6 samples at constant speed, the counter read `shift` cycles further on."""
-    # Not quite the round speed: the samples are to meet all phases.
+    """Wrong positions per 10^6 samples at constant speed, with the counter read `shift` cycles later."""
+    # A slightly different speed, so that the samples meet all phases.
     step = cycles_per_sample(rpm, RATE_HZ) + 1e-3 * np.sqrt(2.0)
     position = 0.3 + step * np.arange(samples)
     wrong = np.abs(counted(encoder, position, shift, fix) - position) > WRONG_CYCLES
@@ -60,7 +60,7 @@ def wrong_per_million(encoder: Encoder, rpm: float, shift: float, fix: bool, sam
 
 
 def fix_bears(encoder: Encoder, samples: int) -> float:
-    """Largest shift between counter and converters (cycles) with which the fix makes no error."""
+    """Largest shift between counter and converters, cycles, at which the fix gives no error."""
 
     def good(shift: float) -> bool:
         return all(wrong_per_million(encoder, 2000.0, s, True, samples) == 0.0 for s in (shift, -shift))
@@ -69,7 +69,7 @@ def fix_bears(encoder: Encoder, samples: int) -> float:
 
 
 def extremes() -> Iterator[Encoder]:
-    """The paper's extreme case with every sign: which quadrants become narrow depends on it."""
+    """The paper's extreme case with all signs, which determine the quadrants that become narrow."""
     for sine, cosine, error in itertools.product((-0.4, 0.4), (-0.4, 0.4), (-0.2, 0.2)):
         yield replace(
             EXTREME,

@@ -1,4 +1,4 @@
-"""Claims on error detection: section 4, and what section 5 says of cables."""
+"""Claims on error detection: section 4, and the claims of section 5 on cables."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def two_thirds(effort: Effort) -> Iterator[Claim]:
 
 
 class Accelerated(NamedTuple):
-    """Of each sample of a machine that accelerates for a while."""
+    """Results for each sample of a machine that accelerates for some time."""
 
     flagged: npt.NDArray[np.bool_]
     residual: FloatArray
@@ -55,7 +55,7 @@ class Accelerated(NamedTuple):
 
 
 def accelerated(change: float, samples: int = 60) -> Accelerated:
-    """Cruise, `samples` with this change of speed (cycles per sample), go on; 12 bits and noise."""
+    """Constant speed with `samples` of this change of speed (cycles per sample); 12 bits, noise."""
     cruise = np.concatenate([[0.0], np.full(100, CRUISE / 100), np.zeros(20)])
     way = Way.from_steps(np.concatenate([cruise, np.full(samples, change), np.zeros(40)]))
     result = followed(USUAL, way, np.random.default_rng(11))
@@ -89,12 +89,12 @@ def too_fast(effort: Effort) -> Iterator[Claim]:
 
 
 def _far_beyond(effort: Effort) -> Claim:
-    """The residual folds back: from 2/3 to 4/3 cycle it is below the limit once more."""
+    """The residual is folded: for an acceleration of 2/3 to 4/3 cycle it is below the limit again."""
     steady = float(np.median(accelerated(0.9).residual[123:181]))
     rng = np.random.default_rng(12)
     changes = rng.uniform(2 / 3, 4 / 3, effort.cases)
     sudden = float(np.mean([is_silent(onset(a, rng.uniform(), 0.0)) for a in changes]))
-    # The acceleration itself rises by less than 1/3 from sample to sample: it cannot step over 1/3..2/3.
+    # The acceleration rises by less than 1/3 between samples, so that it cannot skip 1/3..2/3.
     gentle = float(np.mean([is_silent(onset(a, rng.uniform(), a / 0.3)) for a in changes]))
     return Claim(
         "beyond-two-thirds",
@@ -114,14 +114,14 @@ def onset(change: float, fraction: float, rise: float) -> FloatArray:
     time = np.maximum(np.arange(30) - 5.0 - fraction, 0.0)
     ramp = np.minimum(time, rise)
     held = time - ramp
-    # Constant jerk change/rise up to the end of the ramp, then constant acceleration.
+    # Constant jerk change/rise to the end of the ramp, then constant acceleration.
     jerk = change / rise if rise > 0.0 else 0.0
     way = jerk * ramp**3 / 6.0 + jerk * ramp**2 / 2.0 * held + change * held**2 / 2.0
     return np.asarray(0.37 + way, np.float64)
 
 
 def is_silent(position: FloatArray) -> bool:
-    """A position was wrong, and nothing was flagged up to then."""
+    """Whether a position was wrong before anything was flagged."""
     whole = np.floor(position)
     result = track(position - whole)
     wrong = result.cycles != (whole - whole[0]).astype(np.int64)
@@ -129,7 +129,7 @@ def is_silent(position: FloatArray) -> bool:
 
 
 def never_forgets(effort: Effort) -> Iterator[Claim]:
-    """One bad sample at 2000 rpm and 1 kHz."""
+    """Claims on the effect of one bad sample at 2000 rpm and 1 kHz."""
     samples, at, glitch = 1300, 500, 0.3
     rng = np.random.default_rng(13)
     way = Way.from_steps(turning(cycles_per_sample(TOP_RPM, SLOW_RATE_HZ), samples))
@@ -158,7 +158,7 @@ CABLE_FAULTS: dict[str, Fault] = {
 
 
 def cables(effort: Effort) -> Iterator[Claim]:
-    """Faults of the cables while the machine turns, and while it stands; eq. 12 alone."""
+    """Claims on faults of the cables, in motion and at standstill, detected by eq. 12 only."""
     rng = np.random.default_rng(14)
     turning = {name: _detected(fault, effort.cases, 83.3, rng) for name, fault in CABLE_FAULTS.items()}
     standing = float(np.mean([_detected(f, effort.cases, 0.0, rng) for f in CABLE_FAULTS.values()]))
@@ -175,7 +175,7 @@ def cables(effort: Effort) -> Iterator[Claim]:
 
 
 def _detected(fault: Fault, cases: int, top_speed: float, rng: np.random.Generator) -> float:
-    """Part of the faults that are flagged within 20 samples; they begin at a random phase."""
+    """Part of the faults, beginning at random phases, that are flagged within 20 samples."""
     found = 0
     table = exact_table(USUAL.tracks)
     for _ in range(cases):

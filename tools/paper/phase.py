@@ -1,4 +1,4 @@
-"""Claims on the position within a cycle: introduction, section 2, and what section 5 says of it."""
+"""Claims on the position within a cycle: introduction, section 2, part of section 5."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RECORDING_RATE_HZ = 50_000.0
 
 
 def introduction(effort: Effort) -> Iterator[Claim]:
-    """The example that shows why digital encoders reach their end."""
+    """Claims of the example that shows the limits of digital encoders."""
     rate_hz, resolution_rpm, speed_rpm = 2000.0, 0.1, 3000.0
     cycles = 60.0 * rate_hz / (4.0 * resolution_rpm)
     frequency_hz = speed_rpm / 60.0 * cycles
@@ -40,13 +40,13 @@ def phases(effort: Effort) -> Iterator[Claim]:
     raw = phase_in_cycle(sine, cosine)
     error = _largest(raw - position)
     yield Claim("table-1-error", f"{percent(error, 4)} of a cycle", verdict(0.011 < error < 0.0125))
-    steps = np.diff(raw) * GRID  # slope: 1 for the true phase
+    steps = np.diff(raw) * GRID  # slope; that of the true phase is 1
     yield Claim(
         "table-1-continuous",
         f"slope {steps.min():.3f} to {steps.max():.3f} everywhere, no step",
         verdict(steps.min() > 0.78 and steps.max() < 1.58),
     )
-    printed = np.where(position > 7 / 8, 1.0 + sine / cosine, raw)  # with its last column as it is printed
+    printed = np.where(position > 7 / 8, 1.0 + sine / cosine, raw)  # Table 1 with its last column as printed
     step = float(np.diff(printed).min())
     away = float(np.abs(printed - position).max())
     yield Claim(
@@ -78,9 +78,9 @@ def reference_measurement(effort: Effort) -> Iterator[Claim]:
     speed_rpm = 60.0 * RECORDING_RATE_HZ / 50.0 / CYCLES_PER_REVOLUTION
     yield Claim("reference-speed", f"{speed_rpm:.1f} rpm", verdict(round(speed_rpm, 6) == 24.0))
     number = np.arange(round(effort.recording_s * RECORDING_RATE_HZ), dtype=np.float64)
-    # A little less than 24 rpm, so that the samples do not meet the same 50 phases in each cycle.
+    # Slightly below 24 rpm, so that the samples do not repeat the same 50 phases in each cycle.
     steady = number * (23.93 / 24.0 / 50.0)
-    # While a constant voltage phasor drives the machine: 9 to 20 rpm.
+    # Speed of a machine driven by a constant voltage phasor: 9 to 20 rpm.
     rpm = 14.5 + 5.5 * np.sin(2.0 * np.pi * 6.0 * number / RECORDING_RATE_HZ)
     swinging = np.cumsum(rpm / 60.0 * CYCLES_PER_REVOLUTION) / RECORDING_RATE_HZ
     cases = {
@@ -126,13 +126,13 @@ def conclusion(effort: Effort) -> Iterator[Claim]:
 
 
 def peak_error(encoder: Encoder, table: CorrectionTable, position: FloatArray) -> float:
-    """Of the phases, their mean taken off: where phase 0 lies is a convention."""
+    """Largest error of the phases less their mean, because phase 0 is a convention."""
     off = wrap(table(phase_in_cycle(*encoder.tracks(position))) - position)
     return float(np.abs(off - off.mean()).max())
 
 
 def resolution_step() -> float:
-    """Largest change of the raw phase for one LSB on either track, at full scale of 12 bits."""
+    """Largest change of the raw phase by one LSB of a track, at full scale of 12 bits."""
     sine, cosine = (2048.0 * track for track in ideal_tracks(np.arange(4096) / 4096))
     raw = phase_in_cycle(sine, cosine)
     return max(
@@ -142,7 +142,7 @@ def resolution_step() -> float:
 
 
 def calibrated_error(encoder: Encoder, way: FloatArray) -> float:
-    """Largest error of the table from a reference measurement; inf when it is refused."""
+    """Largest error of the table of a reference measurement; inf if that is refused."""
     try:
         found = calibrate_from_zero_crossings(*encoder.sample(way, np.random.default_rng(4)))
     except CalibrationError:

@@ -1,4 +1,4 @@
-"""What the claims are tried on: encoders, exact tables, and motions whose position is known exactly."""
+"""Test objects of the claims: encoders, exact tables, and motions with exactly known positions."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 CYCLES_PER_REVOLUTION = 2500
-UNIT = 1 << 28  # positions are integers of 1/2^28 cycle: no rounding adds up over a long run
+UNIT = 1 << 28  # positions are integers of 1/2^28 cycle: rounding does not accumulate over a long run
 BLOCK = 1 << 18
-WRONG_CYCLES = 0.5  # a position further off than that belongs to another cycle
+WRONG_CYCLES = 0.5  # error beyond which a position is in a wrong cycle
 
 IDEAL = Encoder(amplitude_counts=1900.0)
 # A mediocre encoder, with half a count of noise on either track.
@@ -41,12 +41,12 @@ def cycles_per_sample(rpm: float, rate_hz: float) -> float:
 
 
 def turning(speed: float, samples: int) -> FloatArray:
-    """From rest to this speed, cycles per sample, in 300 samples; then these."""
+    """Positions from rest to this speed, cycles per sample, in 300 samples, then ``samples`` at it."""
     return np.concatenate([[0.0], np.full(300, speed / 300), np.zeros(samples)])
 
 
 def bisected(low: float, high: float, within: float, good: Callable[[float], bool]) -> float:
-    """The largest value that is ``good``, as ``low`` is."""
+    """The largest value that is ``good``, by bisection; ``low`` must be good."""
     while high - low > within:
         middle = (low + high) / 2.0
         low, high = (middle, high) if good(middle) else (low, middle)
@@ -55,7 +55,7 @@ def bisected(low: float, high: float, within: float, good: Callable[[float], boo
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Positions at the samples, exact: integers of 1/UNIT cycle."""
+    """Exact positions at the samples: integers of 1/UNIT cycle."""
 
     units: IntArray
 
@@ -74,7 +74,7 @@ class Way:
 
     @classmethod
     def random(cls, samples: int, top_speed: float, top_change: float, rng: np.random.Generator) -> Way:
-        """Ramps between speeds up to `top_speed` either way, half of them full reversals, and halts.
+        """Ramps between random speeds up to ±`top_speed`, half of them full reversals, and halts.
 
         `top_speed` in cycles per sample; `top_change` is the largest change of speed from
         sample to sample.
@@ -121,7 +121,7 @@ class Way:
 def sampled(
     encoder: Encoder, way: Way, rng: np.random.Generator | None
 ) -> tuple[npt.NDArray[np.int16], npt.NDArray[np.int16]]:
-    """ADC counts along the way, block by block: ten million samples in little memory."""
+    """ADC counts of a motion, block by block, which limits the memory for ten million samples."""
     sine, cosine = np.empty(len(way), np.int16), np.empty(len(way), np.int16)
     for start in range(0, len(way), BLOCK):
         part = slice(start, start + BLOCK)
@@ -130,7 +130,7 @@ def sampled(
 
 
 class Score(NamedTuple):
-    """What came out along a way: samples in the wrong cycle, flagged samples, errors of the others."""
+    """Result of a motion: samples in a wrong cycle, flagged samples, errors of the others."""
 
     wrong: int
     flagged: int
@@ -144,10 +144,10 @@ def score(way: Way, result: TrackResult) -> Score:
 
 
 def followed(encoder: Encoder, way: Way, rng: np.random.Generator | None) -> TrackResult:
-    """The way through encoder, converter, individual table and tracker."""
+    """The motion processed by encoder, converter, individual table and tracker."""
     return bare(*sampled(encoder, way, rng), exact_table(encoder.tracks))
 
 
 def bare(sine: npt.ArrayLike, cosine: npt.ArrayLike, table: CorrectionTable) -> TrackResult:
-    """The paper's method and no more: Table 1, table, eq. 9 and eq. 12, without recovery."""
+    """Only the method of the paper: Table 1, table, eq. 9 and eq. 12, without recovery."""
     return track(table(phase_in_cycle(sine, cosine)), 1 / 3)

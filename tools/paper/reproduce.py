@@ -18,7 +18,7 @@ from tools.paper import conventional, detection, phase, tracking
 from tools.paper.claim import FAST, FULL, Claim, Effort, Maker, Verdict
 
 PAGE = Path(__file__).parents[2] / "docs" / "paper.md"
-# In the order of the paper, and of the rows of the page.
+# In the order of the paper, and of the rows of docs/paper.md.
 MAKERS: tuple[Maker, ...] = (
     phase.introduction,
     conventional.conventional,
@@ -41,7 +41,7 @@ def claims(effort: Effort) -> Iterator[Claim]:
 
 
 def rows_of_the_page() -> list[list[str]]:
-    """Place, claim, what the paper says, what came out, whether it agrees; without the head."""
+    """Rows of docs/paper.md without the head: place, claim, value of the paper, result, agreement."""
     lines = PAGE.read_text(encoding="utf-8").splitlines()
     _, _, *rows = (line.strip("| ").split(" | ") for line in lines if line.startswith("|"))
     return rows

@@ -1,4 +1,4 @@
-"""Claims on the absolute position: section 3, and what section 5 says of the speed."""
+"""Claims on the absolute position: section 3, and the claims of section 5 on the speed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EQ_10_RAD_S2 = 785_398.16
 
 
 def acceleration_limit(effort: Effort) -> Iterator[Claim]:
-    """Eq. 10, found by trying."""
+    """Claims on eq. 10, determined by experiment."""
     formula = max_acceleration(CYCLES_PER_REVOLUTION, RATE_HZ)
     found = largest_acceleration(is_right)
     measured = largest_acceleration(is_right, converted=True)
@@ -40,7 +40,7 @@ def acceleration_limit(effort: Effort) -> Iterator[Claim]:
 
 
 def long_runs(effort: Effort) -> Iterator[Claim]:
-    """Both sampling rates at +-2000 rpm, and the count of revolutions."""
+    """Claims at both sampling rates at +-2000 rpm, and on the count of revolutions."""
     usable = 0.95 * max_acceleration(CYCLES_PER_REVOLUTION, SLOW_RATE_HZ, 1 / 3)
     yield _long_run(
         "long-25khz", cycles_per_sample(TOP_RPM, RATE_HZ), acceleration_step(SERVO_RAD_S2, RATE_HZ), effort
@@ -67,7 +67,7 @@ def _long_run(key: str, top_speed: float, change: float, effort: Effort) -> Clai
 
 
 def revolutions(effort: Effort) -> Claim:
-    """There and back at 2000 rpm and 1 kHz: whole revolutions from the cycle count."""
+    """Forward and back at 2000 rpm and 1 kHz: whole revolutions from the cycle count."""
     ramp = np.full(400, cycles_per_sample(TOP_RPM, SLOW_RATE_HZ) / 400)
     there = np.concatenate([[0.0], ramp, np.zeros(effort.samples // 2 - 801), -ramp])
     way = Way.from_steps(np.concatenate([there, -there]))
@@ -76,7 +76,7 @@ def revolutions(effort: Effort) -> Claim:
         int(cycles.max()) // CYCLES_PER_REVOLUTION for cycles in (result.cycles, way.cycles)
     )
     back, moved = (int(cycles[-1] - cycles[0]) for cycles in (result.cycles, way.cycles))
-    wrong = score(way, result).wrong  # a sample in the right cycle is in the right revolution
+    wrong = score(way, result).wrong  # a correct cycle implies a correct revolution
     return Claim(
         "revolutions",
         f"{grouped(counted)} revolutions forward and as many back at 2000 rpm and 1 kHz: {wrong} samples in "
@@ -86,7 +86,7 @@ def revolutions(effort: Effort) -> Claim:
 
 
 def _no_speed_limit() -> Claim:
-    """As fast as it can get by accelerating within the limit for a long time."""
+    """Highest speed that a long acceleration within the limit can reach."""
     change, samples = 0.3, 350_000
     way = Way.from_steps(np.concatenate([[0.0], np.full(samples, change), np.zeros(1000)]))
     got = score(way, followed(USUAL, way, np.random.default_rng(5)))
@@ -100,7 +100,7 @@ def _no_speed_limit() -> Claim:
 
 
 def start_up(effort: Effort) -> Iterator[Claim]:
-    """Start at standstill, while turning slowly, while turning fast."""
+    """Claims on a start at standstill, in slow motion, in fast motion."""
     rng = np.random.default_rng(8)
     slow = rng.uniform(-0.499, 0.499, effort.cases)
     slow[: effort.cases // 10] = 0.0
@@ -116,7 +116,7 @@ def start_up(effort: Effort) -> Iterator[Claim]:
     fast = rng.uniform(0.501, 83.3, effort.cases) * rng.choice([-1.0, 1.0], effort.cases)
     missed = [speed_error(v, rng.uniform()) for v in fast]
     right = sum(error == 0 for error, _ in missed)
-    # The count then takes the nearest alias within half a cycle per sample.
+    # The count then follows the nearest alias, within half a cycle per sample.
     alias = sum(error == -round(v) for v, (error, _) in zip(fast, missed, strict=True))
     silent = sum(not flagged for _, flagged in missed) / len(missed)
     yield Claim(
@@ -128,7 +128,7 @@ def start_up(effort: Effort) -> Iterator[Claim]:
 
 
 def speed_error(speed: float, start: float) -> tuple[int, bool]:
-    """Start at this constant speed: error of the speed in cycles per sample, and was anything flagged."""
+    """Start at this constant speed: error of the speed, cycles per sample; whether anything was flagged."""
     position = start + speed * np.arange(50)
     whole = np.floor(position)
     result = track(position - whole)
@@ -138,7 +138,7 @@ def speed_error(speed: float, start: float) -> tuple[int, bool]:
 
 
 def acceleration_step(rad_s2: float, rate_hz: float) -> float:
-    """An acceleration as the change of speed from sample to sample, cycles per sample."""
+    """An acceleration as change of speed between samples, cycles per sample."""
     return rad_s2 * CYCLES_PER_REVOLUTION / (2.0 * math.pi) / rate_hz**2
 
 
@@ -149,7 +149,7 @@ def is_right(way: Way, result: TrackResult) -> bool:
 def largest_acceleration(good: Callable[[Way, TrackResult], bool], *, converted: bool = False) -> float:
     """By bisection, the largest constant acceleration at 25 kHz (rad/s²) that is `good`.
 
-    Exact phases, or those of 12-bit converters with noise and an individual table.
+    Phases are exact, or (``converted``) of 12-bit converters with noise, corrected by an individual table.
     """
 
     def is_good(rad_s2: float) -> bool:
