@@ -1,1 +1,1 @@
-"""The documentation site: pages, their order, and what is made of the code."""
+"""The documentation site: pages, their order, and the pages generated from the code."""

@@ -1,8 +1,8 @@
 """Sphinx: how the pages of the repository become the site (`make site`).
 
-The pages in docs/ in the order of docs/index.md; those of docs/reference are made of the EDS files, the
-configuration classes, the command line and the docstrings. A page that is not in the order, a link or an
-anchor that leads nowhere, and anything else that Sphinx warns of is an error. It needs no server.
+The pages in docs/ follow the order of docs/index.md; the pages of docs/reference come from EDS files,
+configuration classes, command line and docstrings. A page missing in that order, a broken link or anchor, and
+all other warnings of Sphinx are errors. The site needs no server.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ copyright = "canfb contributors, MIT licence"
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
 root_doc = "docs/index"
 include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/**.md"]
-# The anchors that a reader of the repository sees, too; a link to one that is missing is an error.
+# The same anchors as in the repository; a link to a missing one is an error.
 myst_heading_anchors = 6
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 html_theme = "furo"
 html_title = f"canfb {release}"
 html_static_path = ["static"]
-html_extra_path = ["root"]  # its index.html leads to that of the pages
+html_extra_path = ["root"]  # its index.html redirects to the first page
 html_css_files = ["canfb.css"]
 html_show_sphinx = False
 html_copy_source = False
@@ -45,7 +45,7 @@ def made(_app: Any, page: str, source: list[str]) -> None:
 
 
 def as_written(_app: Any, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]) -> None:
-    """Docstrings of ours are plain text with columns."""
+    """Convert docstrings of canfb, plain text with columns, to reStructuredText."""
     lines[:] = as_rst(list(lines))
 
 

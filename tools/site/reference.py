@@ -1,6 +1,6 @@
 """The pages of docs/reference: the help of every command, every key of the YAML, the object dictionaries.
 
-From the parser of the command line, the configuration classes with their docstrings, and the EDS files.
+Generated from the parser of the command line, the configuration classes with their docstrings, the EDS files.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def commands_of(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentPa
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for name, command in action.choices.items():
-                if command.prog.endswith(f" {name}"):  # not another name of it
+                if command.prog.endswith(f" {name}"):  # skip aliases
                     yield command
                     yield from commands_of(command)
 
@@ -108,7 +108,7 @@ python-can.
 
 
 class Key(NamedTuple):
-    """One row, as text; an empty default for a key that is required."""
+    """A row for a key, as text; the default of a required key is empty."""
 
     name: str
     default: str
@@ -116,7 +116,7 @@ class Key(NamedTuple):
 
 
 def described(kind: type) -> dict[str, str]:
-    """What the docstrings of a class and its bases say of each field."""
+    """Description of each field from the docstrings of a class and its bases."""
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         names: list[str] = []
@@ -227,7 +227,7 @@ def _words(product: str, entry: ObjectDescription) -> Iterator[str]:
 
 
 def _row(entry: ObjectDescription, section: Mapping[str, str]) -> tuple[str, ...]:
-    """The description of an object, and default, mapping and limits, which only the file has."""
+    """Row of an object: its description, and default, mapping and limits as written in the file."""
     default = section.get("DefaultValue", "").strip()
     limits = (section.get("LowLimit", "").strip(), section.get("HighLimit", "").strip())
     mapped = section.get("PDOMapping", "0").strip() == "1"

@@ -8,12 +8,12 @@ from collections.abc import Iterable, Iterator, Sequence
 FIELD = re.compile(r"^(\w+(?:, \w+)*) {2,}(\S.*)$")
 """A line of a docstring on a field: its name, or several, and what it means."""
 
-# What reStructuredText reads as markup: left alone inside of ``literals`` and :roles:`of names`.
+# ``literals`` and :roles:`of names`, inside which nothing is escaped for reStructuredText.
 KEPT = re.compile(r"(``.+?``|:\w+:`[^`]+`|`[^`]+`)")
 
 
 def cell(text: object) -> str:
-    """One cell of a table: one line, no bar that would end it."""
+    """A cell of a table: one line, with escaped bars."""
     return " ".join(str(text).split()).replace("|", "\\|")
 
 
@@ -26,7 +26,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> Iterator[str
 
 
 def plain(text: str) -> str:
-    """Text of the code that Markdown must not take for markup, in one line; ``x`` becomes `x`."""
+    """Text of the code in one line, escaped for Markdown; ``x`` becomes `x`."""
     one_line = " ".join(text.split())
     parts = re.split(r"(``.+?``)", re.sub(r":\w+:`~?\.?([^`]+)`", r"``\1``", one_line))
     return "".join(
@@ -35,7 +35,7 @@ def plain(text: str) -> str:
 
 
 def as_rst(lines: Iterable[str]) -> Iterator[str]:
-    """A docstring of ours: lines of "name  meaning" become a field list, what looks like markup does not."""
+    """A docstring as reStructuredText: lines "name  meaning" become a field list, other text is escaped."""
     in_fields = in_code = False
     for line in lines:
         stripped = line.strip()
@@ -59,6 +59,6 @@ def as_rst(lines: Iterable[str]) -> Iterator[str]:
 
 
 def escaped(text: str) -> str:
-    """Text in which stars, bars and low lines stand for themselves."""
+    """Text with escaped asterisks, bars and underscores."""
     parts = KEPT.split(text)
     return "".join(p if KEPT.fullmatch(p) else re.sub(r"([*|]|_(?=\W|$))", r"\\\1", p) for p in parts)
