@@ -1,1 +1,1 @@
-"""Days of operation in simulated time, with everything that happens to a bus in them."""
+"""Days of operation in simulated time, with all kinds of disturbances of a bus."""

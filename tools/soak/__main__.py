@@ -2,12 +2,12 @@
 
     python -m tools.soak [--cycles N] [--setup NAME] [--seed N] [--json]
 
-Module, encoder interface, SYNC at 1 kHz, master, monitor and event log of one network, whose machine moves
-and rests; in some set-ups the module is in the runner of `canfb run`. One
-disturbance follows the other (disturbances.py). A lost position is brought back by an NMT reset at a rest,
-as docs/troubleshooting.md says. Exit status 1 if a valid position was wrong, a cycle was not counted, the
-position did not come back without a restart of the process, memory, its blocks or file descriptors grew, or
-the log was longer than it may be; 2 for a wrong option.
+The network has module, encoder interface, SYNC at 1 kHz, master, monitor and event log; its machine moves
+and rests. In some set-ups the module is in the runner of `canfb run`. Disturbances follow one after the other
+(disturbances.py). A lost position is restored by an NMT reset at standstill, as in docs/troubleshooting.md.
+Exit status 1 if a valid position was wrong, a cycle was not counted, the position was not restored without a
+restart of the process, memory, its blocks or file descriptors grew, or the log was too long; 2 for a wrong
+option.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from tools.faults.engine import at_least
 from tools.soak.disturbances import disturbances_of
 from tools.soak.world import INTERVAL_S, SETUPS, Findings, Setup, World
 
-WARM = 0.3  # of the cycles: caches fill
-# In each half of the looks: what is loaded once, at the first table or the first save, grows in one of them.
+WARM = 0.3  # part of the cycles in which caches fill, before resources are observed
+# Growth is reported only if it occurs in both halves of the observation: what is loaded once grows in one.
 MOST_GROWTH_BYTES, MOST_GROWTH_BLOCKS = 2 << 20, 10_000
-MOST_LINES_PER_S = 10.0  # of simulated time
+MOST_LINES_PER_S = 10.0  # log lines per second of simulated time
 LOOKS = 20
 
 
 class Resources(NamedTuple):
-    """Of this process. Not gc.get_objects(), which would hold tuples that other threads are building."""
+    """Resources of this process. Not gc.get_objects(), which would keep tuples that other threads build."""
 
     memory_bytes: int
     blocks: int
@@ -52,7 +52,7 @@ class Resources(NamedTuple):
 
 
 def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
-    """So many cycles of SYNC, with one of the disturbances after the other."""
+    """Run this number of SYNC cycles, with successive random disturbances."""
     world, disturbances = World(setup, seed), disturbances_of(setup)
     found, looks = world.found, list[Resources]()
     began = time.perf_counter()
@@ -75,7 +75,7 @@ def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
 
 
 def slope(looks: list[Resources], cycles: int) -> float:
-    """Bytes of memory in a million cycles: the line through the looks, which are equally far apart."""
+    """Growth of memory, bytes per million cycles: the regression line through equidistant observations."""
     if len(looks) < 2:
         return 0.0
     per_look = linear_regression(range(len(looks)), [look.memory_bytes for look in looks]).slope

@@ -1,4 +1,4 @@
-"""What happens to the network of the soak, one thing after the other."""
+"""Disturbances of the network of the soak."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Disturbance = Callable[[World], None]
 
 
 def samples_lost(world: World) -> None:
-    """Up to three ADC PDOs in a row, and each of them is counted, but for the first after a start."""
+    """Up to three successive ADC PDOs are lost; each must be counted."""
     world.recover()
     lost, before, interruptions = world.rng.randint(1, 3), world.missed(), world.interruptions
     world.cable.losing = lost
     world.pass_(0.02)
     beyond = world.missed() - before - lost
-    if beyond and (beyond < 0 or interruptions == world.interruptions):  # of a lost position, more may be
+    if beyond and (beyond < 0 or interruptions == world.interruptions):  # a lost position may count more
         world.miss_count(abs(beyond), f"{lost} samples were lost, {lost + beyond} are counted")
 
 
 def bus_off(world: World) -> None:
-    """The controller is bus-off for a while, or the cable is pulled out and nobody says so."""
+    """The controller is bus-off for some time, or the cable is unplugged, which nothing reports."""
     world.interrupt()
     device = world.hosted or world.module
     reported = world.rng.random() < 0.7
@@ -67,7 +67,7 @@ def node_goes(world: World) -> None:
 
 
 def interface_goes(world: World) -> None:
-    """The encoder interface is stopped, or reset: it starts by itself; no sample comes meanwhile."""
+    """The encoder interface is stopped or reset, and started; there are no samples in the meantime."""
     world.pause_begins()
     command = world.rng.choice((NmtCommand.STOP, NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION))
     world.bus.send(Frame(0x000, bytes((command, INTERFACE))))
@@ -77,7 +77,7 @@ def interface_goes(world: World) -> None:
 
 
 def converter_fails(world: World) -> None:
-    """The interface has no sample for some SYNCs, and says so by EMCY."""
+    """The interface has no sample for some SYNCs, and reports it by EMCY."""
     world.machine.broken = True
     world.pass_(world.rng.uniform(0.002, 0.02))
     world.machine.broken = False
@@ -85,7 +85,7 @@ def converter_fails(world: World) -> None:
 
 
 def eds_by_block(world: World) -> None:
-    """A block upload of the EDS; one in three is given up on the way."""
+    """A block upload of the EDS; one in three is not completed."""
     if world.rng.random() < 1.0 / 3.0:
         world.bus.send(Frame(0x600 + MODULE, struct.pack("<BHBBB2x", 0xA4, *EDS, 127, 0)))
         world.bus.send(Frame(0x600 + MODULE, b"\xa3".ljust(8, b"\0")))
@@ -95,7 +95,7 @@ def eds_by_block(world: World) -> None:
 
 
 def table(world: World) -> None:
-    """A table by block download, in force, or the identity again."""
+    """Activate a table by block download, or the identity."""
     if world.rng.random() < 0.5:
         world.access.download_domain(*od.TABLE_STAGED, TABLE.to_bytes())
         world.access.write(*od.TABLE_ACTIVATE, "I", TABLE.crc32)
@@ -115,7 +115,7 @@ def reading(world: World) -> None:
 
 
 def flood(world: World) -> None:
-    """A master gone mad: some hundred frames at one instant, of any content, and SDO reads."""
+    """A faulty master: some hundred simultaneous frames with random content, and SDO reads."""
     rng = world.rng
     for _ in range(rng.randint(50, 400)):
         if rng.random() < 0.3:
@@ -134,9 +134,9 @@ def short_frames(world: World) -> None:
 
 
 def extra_syncs(world: World) -> None:
-    """A second producer: SYNCs in between, for each of which the interface sends a sample.
+    """A second producer: additional SYNCs, for each of which the interface sends a sample.
 
-    Not beyond the middle of the interval, where nothing but receive times would show that they are extra
+    Only in the first half of the interval: later, only receive times would show that they are additional
     (docs/evidence.md).
     """
     if world.rng.random() < 0.5:
@@ -158,13 +158,13 @@ def clock_behind(world: World) -> None:
 
 
 def stall(world: World) -> None:
-    """The process gets no processor; all frames wait in its socket."""
+    """The process does not run; all frames wait in its socket."""
     hosted_of(world).stalled_until_s = world.bus.now + world.rng.uniform(0.001, SHORT_STALL_S)
     world.pass_(2.0 * SHORT_STALL_S)
 
 
 def long_stall(world: World) -> None:
-    """The process gets no processor for so long (or is stopped: SIGSTOP) that its socket overflows."""
+    """The process does not run for so long (or is stopped by SIGSTOP) that its socket overflows."""
     world.interrupt()
     hosted_of(world).stalled_until_s = world.bus.now + world.rng.uniform(SHORT_STALL_S, LONG_STALL_S)
     world.pass_(2.0 * LONG_STALL_S)
@@ -188,7 +188,7 @@ def queue_full(world: World) -> None:
 
 
 def wall_clock_set(world: World) -> None:
-    """By some hours, by a fraction of an interval, or slewed; forward and back."""
+    """The wall clock is set by an hour, by a fraction of an interval, or slewed; forward or back."""
     hosted_of(world).set_s += world.rng.choice((3600.0, -3600.0, 0.3, -0.3, 2e-3, -2e-3, 3e-4, -3e-4))
     world.pass_(0.02)
 

@@ -1,4 +1,4 @@
-"""A master on an embedded bus, in simulated time: the SDO client of the tools behind it."""
+"""A master on an embedded bus, in simulated time, with the SDO client of the tools."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class EmbeddedClient(SharedClient):
 
 
 class EmbeddedMaster:
-    """:class:`canfb.master.access.Master`; an SDO server has ``answer_s`` seconds for its response."""
+    """A :class:`canfb.master.access.Master`; an SDO server has ``answer_s`` seconds to respond."""
 
     def __init__(self, bus: EmbeddedBus, answer_s: float) -> None:
         self.bus = bus

@@ -1,7 +1,7 @@
-"""A device in the runner of `canfb run`, in simulated time: what a process, a socket and a clock do to it.
+"""A device in the runner of `canfb run`, in simulated time, with the effects of process, socket and clock.
 
-The runner waits for its bus; here that wait ends when the embedded bus has a frame for it, or the time is up.
-So it has a thread of its own, and only one of the two threads runs at a time: every run is the same.
+The runner waits for its bus; here the wait ends when the embedded bus has a frame for it, or at its time-out.
+So it needs its own thread; only one of the two threads runs at a time, so that every run is identical.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER
 from canfb.device.node import Device
 
-SOCKET_FRAMES = 270  # that wait in a socket of Linux by default, with 212 992 bytes; those beyond are lost
+SOCKET_FRAMES = 270  # capacity of a socket of Linux by default, 212 992 bytes; further frames are lost
 WALL_S = 1.7e9
-LONGEST_TURN_S = 60.0  # of this computer, from one wait of the runner to the next
+LONGEST_TURN_S = 60.0  # real time from one wait of the runner to the next
 
 
 class Hosted:
-    """A device for the embedded bus: another one, in its runner.
+    """A device for the embedded bus that contains another device in a runner.
 
-    stalled_until_s  the process gets no processor until then; frames wait in its socket
-    set_s            by how much the wall clock, which stamps the frames, was set
+    stalled_until_s  the process does not run until then; frames wait in its socket
+    set_s            offset of the wall clock, which gives the time stamps of frames
     """
 
     def __init__(self, device: Device, report: Callable[[str], None]) -> None:
@@ -76,7 +76,7 @@ class Hosted:
         return self.bus.taken()
 
     def down(self, now: float) -> list[Frame]:
-        """`ip link set can0 down`: what waits in the socket stays there."""
+        """`ip link set can0 down`: frames in the socket are kept."""
         self.bus.down = True
         return self._wake(now)
 
@@ -109,7 +109,7 @@ class Hosted:
         self._runner_runs.acquire()
 
     def _go_on(self) -> None:
-        """A turn of the runner, until it waits again. What has ended it is raised."""
+        """Let the runner run until it waits again. Raises the exception that ended it."""
         self._runner_runs.release()
         if not self._world_runs.acquire(timeout=LONGEST_TURN_S):
             raise TimeoutError("the runner does not come back to its bus")
@@ -126,7 +126,7 @@ class Hosted:
 
 
 class Socket:
-    """The bus of the runner; ``full``: the queue of the interface takes no frame."""
+    """The bus of the runner; ``full``: the queue of the interface accepts no frame."""
 
     def __init__(self, wait: Callable[[float], None], wall: Callable[[], float]) -> None:
         self.full = self.down = False
@@ -136,13 +136,13 @@ class Socket:
         self._heard: frozenset[int] | None = None
 
     def put(self, can_id: int, data: bytes) -> bool:
-        """A frame comes over the wire; False if nobody hears it."""
+        """A frame arrives; False if it is filtered or lost."""
         if self.down or (self._heard is not None and can_id & ~REMOTE not in self._heard):
             return False
         return self.keep(can_id, data)
 
     def keep(self, can_id: int, data: bytes = bytes(8)) -> bool:
-        """False if as many wait as there is room for."""
+        """Queue a frame; False if the queue is full."""
         if len(self._waiting) < SOCKET_FRAMES:
             self._waiting.append((can_id, data, self._wall()))
             return True
@@ -175,4 +175,4 @@ class Socket:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        """Nothing is open."""
+        """Nothing to close."""

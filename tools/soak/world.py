@@ -1,4 +1,4 @@
-"""The network of the soak, and what must hold whatever happens to it."""
+"""The network of the soak, and what must hold under all disturbances."""
 
 from __future__ import annotations
 
@@ -36,23 +36,23 @@ SAVE_POLLS, SAVES_UNTIL_FULL = 5, 9
 INTERVAL_S = 1e-3
 WRONG_CYCLES = 0.05
 RECOVERY_S = 12.0
-LOST_S = 1.0  # then the master resets the module at the next rest, as canfb node reset does
+LOST_S = 1.0  # time after a loss until the master resets the module at standstill, like canfb node reset
 PAUSE_S = 1.2  # longest time without SYNC or OPERATIONAL
 MASTER_S, HEARTBEAT_S, LOST_HEARTBEAT_MS = 0.1, 0.1, 500
 ANSWER_S = 0.2
 HEARTBEATS, HEARTBEAT_TIME = (0x1016, 1), (0x1017, 0)
-COUNTERS = range(1, 16)  # of 2012h
+COUNTERS = range(1, 16)  # sub-indices of 2012h
 CYCLES = 2500
 RADIANS = 2.0 * math.pi / CYCLES
-SPARE = 1.05  # declared beyond what the machine does
+SPARE = 1.05  # declared acceleration / acceleration of the machine
 ACCELERATION = {"max_acceleration_rad_s2": SPARE * MAX_ACCELERATION_CYCLES_S2 * RADIANS}
 JITTER = SyncTiming(sync_jitter_us=20.0, sync_drift_ppm=-50.0)
 
-logging.getLogger("canopen").setLevel(logging.CRITICAL)  # transfers are broken off on purpose
+logging.getLogger("canopen").setLevel(logging.CRITICAL)  # transfers are interrupted on purpose
 
 
 def position_cycles(time_s: float) -> float:
-    """To and fro, with a rest at either end: v = top / 2 (1 - cos(2 pi t / MOVE_S))."""
+    """Oscillation with a rest at both ends: v = top / 2 (1 - cos(2 pi t / MOVE_S))."""
     moves, within = divmod(time_s, MOVE_S + REST_S)
     t = min(within, MOVE_S)
     way = TOP_CYCLES_S / 2.0 * (t - MOVE_S / (2.0 * math.pi) * math.sin(2.0 * math.pi * t / MOVE_S))
@@ -60,21 +60,21 @@ def position_cycles(time_s: float) -> float:
 
 
 def rests(time_s: float, spare_s: float = 0.0) -> bool:
-    """Whether it stands still from now until ``spare_s`` later."""
+    """Whether the machine stands still from ``time_s`` until ``spare_s`` later."""
     within = time_s % (MOVE_S + REST_S)
     return within >= MOVE_S and within + spare_s < MOVE_S + REST_S
 
 
 def is_fast(time_s: float) -> bool:
-    """Whether it moves fast, and does so for a while."""
+    """Whether the machine moves fast, and will do so for some time."""
     return 0.3 <= time_s % (MOVE_S + REST_S) <= 0.4
 
 
 class Machine:
-    """A source of samples with a coarse track, one cycle of it per revolution.
+    """A source of samples with a coarse track of one cycle per revolution.
 
-    broken          the converter gives nothing
-    sampled_cycles  where it was at the last sample
+    broken          the converter gives no samples
+    sampled_cycles  position of the last sample
     """
 
     broken = False
@@ -88,7 +88,7 @@ class Machine:
         return Sample(*_tracks(position), coarse_sine=coarse_sine, coarse_cosine=coarse_cosine)
 
     def next(self) -> Sample:
-        """Not asked: the interface knows when it samples."""
+        """Not used: the interface calls `sample_at`."""
         raise NotImplementedError
 
 
@@ -98,10 +98,10 @@ def _tracks(position: float) -> tuple[int, int]:
 
 
 class Cable:
-    """A device behind a cable that can be pulled out, and that loses ADC PDOs.
+    """A device whose cable can be unplugged, and can lose ADC PDOs.
 
-    losing   how many of these more do not arrive
-    stamp_s  by how much the clock of receive times is ahead; None: frames have none
+    losing   number of ADC PDOs still to be lost
+    stamp_s  offset of the clock of receive times; None: frames have none
     """
 
     def __init__(self, device: Device, stamp_s: float | None = None) -> None:
@@ -126,7 +126,7 @@ class Cable:
 
 
 class Sampled(bytes):
-    """The data of an ADC PDO."""
+    """The data of an ADC PDO, with the true position."""
 
     position_cycles: float
     """Where the machine truly was."""
@@ -147,7 +147,7 @@ class SampledInterface(EncoderInterface):
 
 
 class WatchedModule(FeedbackModule):
-    """``truth_cycles``: where the machine was at the last sample that came."""
+    """A module; ``truth_cycles``: true position of the last sample received."""
 
     def __init__(self, config: ModuleConfig, store: Store) -> None:
         self.truth_cycles = 0.0
@@ -160,7 +160,7 @@ class WatchedModule(FeedbackModule):
 
 
 class SlowStore(MemoryStore):
-    """Is asked some times before a save is done; one in nine fails, as on a full disk."""
+    """A store that must be polled several times before a save is done; one in nine fails."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -190,12 +190,12 @@ class SlowStore(MemoryStore):
 class Setup:
     """A network.
 
-    config    of the module
+    config    configuration of the module
     stamps    frames have receive times
     coarse    samples have a coarse track, in the same PDO
     hosted    the module is in the runner of `canfb run`
-    bit_rate  of the bus, bit/s: frames take time and wait for each other; None: they do not
-    timing    of the SYNC
+    bit_rate  bit/s: frames take time and wait for each other; None: they take no time
+    timing    timing of SYNC
     """
 
     name: str
@@ -222,7 +222,7 @@ SETUPS = (
 
 @dataclass
 class Findings:
-    """What was seen. `bad` must stay 0 each."""
+    """Results; `bad`, the number of violations, must stay 0."""
 
     cycles: int = 0
     valid: int = 0
@@ -248,7 +248,7 @@ def _map_third_and_fourth(device: NodeDevice, mapping: int, *objects: od.Multipl
 
 
 class World:
-    """Module, encoder interface, SYNC, master, monitor, and a node that comes and goes."""
+    """Module, encoder interface, SYNC, master, monitor, and a node that is unplugged at times."""
 
     def __init__(self, setup: Setup, seed: int) -> None:
         self.found = Findings()
@@ -284,7 +284,7 @@ class World:
         self.syncs = self.feedbacks = 0
         self.interruptions = 0
         """Times at which cycles need not be counted: the position is lost, the module not OPERATIONAL."""
-        self._was_valid = False  # since the last start
+        self._was_valid = False  # whether a position was valid since the last start
         self._offset: int | None = None
         self._counted = 0
         self._next_s = self._synced_s = 0.0
@@ -310,12 +310,12 @@ class World:
             self.hosted.close()
 
     def _counts(self, record: logging.LogRecord) -> bool:
-        """A filter: counts the lines of the log, and keeps them from the terminal."""
+        """A log filter that counts the lines, and suppresses their output."""
         self.found.log_lines += 1
         return False
 
     def suffer(self, name: str, disturbance: Callable[[World], None]) -> None:
-        """One disturbance, until the position is right again and each cycle since is accounted for."""
+        """Apply a disturbance, wait until the position is valid again, check that all cycles are counted."""
         self._settle()
         self._suffers = name
         before = self.interruptions, self.syncs - self.feedbacks
@@ -335,7 +335,7 @@ class World:
         self.bus.run_until(all_came_s if all_came_s >= self.bus.now else all_came_s + INTERVAL_S)
 
     def pass_(self, seconds: float) -> None:
-        """Let time pass, in which the master starts a module that has stopped."""
+        """Wait; in this time the master starts a module that is PRE-OPERATIONAL."""
         end = self.bus.now + seconds
         while self.bus.now < end:
             self.bus.run_until(min(end, self.bus.now + HEARTBEAT_S / 2.0))
@@ -346,7 +346,7 @@ class World:
                     self.nmt(NmtCommand.START)
 
     def recover(self) -> None:
-        """The position is valid again: by itself or, if it is lost, by a reset at a rest."""
+        """Wait until the position is valid; after LOST_S reset the module at standstill."""
         began = reset_s = self.bus.now
         while not self.valid():
             if self.bus.now - began > RECOVERY_S:
@@ -365,24 +365,24 @@ class World:
         self.bus.send(Frame(0x000, bytes((command, MODULE))))
 
     def reset(self, command: NmtCommand) -> None:
-        """Reset the module, and start it again. A master that gets no answer gives up."""
-        self.nmt(command)  # on a wire, a last position may be published before it arrives
-        self._offset, self._counted = None, -1  # position and counters begin at 0
+        """Reset the module, and start it again, also if SDO gets no answer."""
+        self.nmt(command)  # with a bit rate, a last position may be published before the reset arrives
+        self._offset, self._counted = None, -1  # position and counters restart at 0
         self._configure()
 
     def pause_begins(self) -> None:
-        """What stands when a pause begins must not move in it: docs/supervision.md, Start of the module."""
+        """Wait for a rest as long as a pause, or for fast motion: no motion may start in a pause."""
         rest = self.rng.random() < 0.5
         while not (rests(self.bus.now, PAUSE_S) if rest else is_fast(self.bus.now)):
             self.pass_(0.02)
 
     def interrupt(self) -> None:
-        """A pause begins in which cycles need not be counted."""
+        """Begin a pause in which cycles need not be counted."""
         self.pause_begins()
         self.interruptions += 1
 
     def missed(self) -> int:
-        """2012:01."""
+        """Missed samples, 2012:01."""
         return int(self.module.dictionary.entry(*od.COUNTER_MISSED).value)
 
     def miss_count(self, cycles: int, what: str) -> None:
@@ -396,7 +396,7 @@ class World:
         self.nmt(NmtCommand.START)
 
     def bus_event(self, event: Callable[[float], list[Frame]]) -> None:
-        """The device learns something of its bus, and may send."""
+        """Notify the device of an event of its bus; send its frames."""
         for frame in event(self.bus.now):
             self.bus.send(frame)
 
@@ -430,7 +430,7 @@ class World:
             self.found.first_wrong = self.found.first_wrong or what
 
     def _judge_count(self, status: int) -> None:
-        """A cycle without a valid position is in a counter, or the position is lost, or was not valid yet."""
+        """Check a cycle without a valid position: it is counted, or the position is lost or not yet valid."""
         counted = sum(int(one.value) for one in self._counters)
         if counted == self._counted and not status & StatusBit.LOST and self._was_valid:
             self.miss_count(1, f"status {status:04X}h and no counter")
