@@ -1,1 +1,1 @@
-"""How the suite is run: its package, and whether it notices changes of the code."""
+"""Tools on the code and its tests: size, architecture, package, mutation testing."""

@@ -2,9 +2,9 @@
 
     python -m tools.suite.house > docs/architecture.svg
 
-An arrow runs from a room to one that it may import, by the table of docs/architecture.md. Left out are arrows
-that follow from others, and those to the ground. A room stands one floor above the highest that it imports,
-and in its floor by the middle of the rooms that import it.
+An arrow leads from a room to one that it may import, by the table of docs/architecture.md. Arrows that follow
+from others, and those to the ground, are omitted. A room is one floor above the highest that it imports;
+rooms of a floor are ordered by the mean position of the rooms that import them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 
 WIDTH, ROOM, HEIGHT, FLOOR, TOP = 960, 130, 34, 74, 14
-MARGIN = 80  # of the middle of a room
+MARGIN = 80  # from the edge to the centre of the outermost room
 GROUND = ("cia301", "objects", "checks", "errors", "files", "eds_files", "marked_yaml", "rows")
 UNDRAWN = (*GROUND, "__init__", "__main__")
 PAGE = Path(__file__).parents[2] / "docs" / "architecture.md"
@@ -43,7 +43,7 @@ STYLE = """
 
 @cache
 def imports() -> dict[str, set[str]]:
-    """What each room may import: the table of docs/architecture.md."""
+    """The imports permitted to each room, by the table of docs/architecture.md."""
     page = PAGE.read_text(encoding="utf-8")
     words = re.findall(r"\*words\* stands for (.+?)\.", page)[0].split(", ")
     named: dict[str, set[str]] = {}
@@ -69,7 +69,7 @@ def floor(room: str) -> int:
 
 
 def arrows() -> list[tuple[str, str]]:
-    """The imports that do not follow from others, without those of the ground."""
+    """The imports that do not follow from others, without imports of the ground."""
     return [
         (room, lower)
         for room in imports()
@@ -80,7 +80,7 @@ def arrows() -> list[tuple[str, str]]:
 
 
 def places() -> dict[str, tuple[int, int]]:
-    """Middle and top of each room: in its floor by the middle of the rooms that import it."""
+    """Centre (x) and top (y) of each room; rooms of a floor in the order of the mean x of importers."""
     rooms = [room for room in imports() if room not in UNDRAWN]
     highest = max(map(floor, rooms))
     found: dict[str, tuple[int, int]] = {}

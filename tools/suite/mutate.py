@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 SOURCE = Path("src").resolve()
-# Tests that take so much longer than without a change, or so much memory, have noticed it.
+# Limits: tests that take longer than these, or more memory, have noticed the change.
 ENDLESS_S, ENDLESS_FACTOR, BOUNDLESS_BYTES = 60, 5, 4 << 30
 PAIRS = [
     (ast.Lt, ast.LtE), (ast.Gt, ast.GtE), (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn),
@@ -42,7 +42,7 @@ SWAPPED |= {ast.FloorDiv: ast.Div, ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.LSh
 class Mutant(NamedTuple):
     path: Path
     line: int
-    name: str  # where and what, without the line: stays the same when lines move
+    name: str  # place and change, without the line number, which would change with other lines
     tree: ast.Module
 
 
@@ -79,7 +79,7 @@ Place = tuple[Any, Any, ast.AST, str]
 
 
 def places(node: ast.AST, within: str = "") -> Iterator[Place]:
-    """Each place whose content may change: what holds it, under which key, content, and its function."""
+    """All places that may be changed: container, key, content, and name of the function."""
     for field, value in ast.iter_fields(node):
         if field in ("annotation", "returns", "decorator_list", "type_params"):
             continue
@@ -106,7 +106,7 @@ def mutants(path: Path) -> list[Mutant]:
 
 
 def named_changes(stem: str, tree: ast.Module) -> Iterator[tuple[str, Place, ast.AST]]:
-    """Name, place and what could stand there, of all changes of a module."""
+    """Name, place and replacement of all changes of a module."""
     seen: Counter[str] = Counter()
     for place in list(places(tree)):
         *_, node, within = place
@@ -121,7 +121,7 @@ def short(node: ast.AST) -> str:
 
 
 class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Imports the changed module in place of the real one."""
+    """Imports the changed module instead of the real one."""
 
     def __init__(self, mutant: Mutant) -> None:
         self._name = ".".join(mutant.path.resolve().relative_to(SOURCE).with_suffix("").parts)
@@ -135,7 +135,7 @@ class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 def run_tests(mutant: Mutant | None, pytest_args: list[str], limit_s: int = 0) -> int:
-    """The process that runs the tests, with the change if there is one; it ends with pytest's exit status.
+    """Fork a process that runs the tests, with the change, if any, and exits with pytest's status; its PID.
 
     A signal ends it after ``limit_s`` seconds; 0: never.
     """
@@ -204,6 +204,6 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    for preloaded in ("numpy", "pytest"):  # so that no process has to load them
+    for preloaded in ("numpy", "pytest"):  # so that child processes need not load them
         importlib.import_module(preloaded)
     sys.exit(main(sys.argv[1:]))

@@ -2,9 +2,9 @@
 
     python -m tools.suite.package [--out DIR]
 
-The wheel is built from the sdist. Checked are: what an index says of both (twine), that the sdist is what git
-has and the wheel is src/canfb with the EDS files, that no link of the description leads nowhere, and that in
-a new virtual environment, away from this folder, `canfb demo` passes with the versions that pip chooses.
+The wheel is built from the sdist. Checks: metadata of both (twine); the sdist equals the files of git, and
+the wheel src/canfb with the EDS files; the description has no broken link; in a new virtual environment, in
+another folder, `canfb demo` passes with the versions that pip chooses.
 Exit status 1, with one line for each finding, if anything is wrong.
 """
 
@@ -25,18 +25,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = "canfb"
-# Made by the build itself.
+# Files that the build creates.
 SDIST_EXTRA = {"PKG-INFO"}
 LARGEST_BYTES = 1 << 20
 LINK = re.compile(r"!?\[[^\]]*\]\((?!https?:|#)([^)]*)\)")
 
 
 class PackageError(Exception):
-    """A step that failed; its text is what there is to say."""
+    """A step failed; the text is the whole message."""
 
 
 def run(*command: str | Path, cwd: Path = ROOT) -> str:
-    """Standard output of a command without this environment's paths. PackageError if it fails."""
+    """Standard output of a command, run without the paths of this environment. PackageError if it fails."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     done = subprocess.run(
         [str(word) for word in command],
@@ -54,7 +54,7 @@ def run(*command: str | Path, cwd: Path = ROOT) -> str:
 
 
 def sources() -> set[str] | None:
-    """What git has or would add, without what it ignores; None outside a working tree."""
+    """Files that git has or would add, without ignored ones; None outside a working tree."""
     if not (ROOT / ".git").exists():
         return None
     listed = run("git", "ls-files", "--cached", "--others", "--exclude-standard", "-z")
@@ -68,19 +68,19 @@ def differences(name: str, found: Iterable[str], expected: Iterable[str]) -> Ite
 
 
 def wheel_of(members: Iterable[str]) -> set[str]:
-    """What the wheel has of these sources, dist-info aside."""
+    """Expected files of the wheel, given these sources, without dist-info."""
     prefix = f"src/{PACKAGE}/"
     paths = [f"{PACKAGE}/{one.removeprefix(prefix)}" for one in members if one.startswith((prefix, "eds/"))]
     return set(paths)
 
 
 def links_to_nowhere(description: str) -> list[str]:
-    """Targets that only the repository has: neither absolute, nor a heading of the page."""
+    """Link targets that exist only in the repository: neither absolute, nor a heading of the page."""
     return LINK.findall(description)
 
 
 def check_archives(sdist: Path, wheel: Path) -> Iterator[str]:
-    with tarfile.open(sdist) as archive:  # below its one folder
+    with tarfile.open(sdist) as archive:  # all files are in one folder
         members = {one.name.partition("/")[2]: one.size for one in archive.getmembers() if one.isfile()}
     tracked = sources()
     if tracked is not None:

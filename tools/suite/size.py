@@ -1,7 +1,7 @@
-"""Print how large each room is, beside its budget and its target (budget.toml).
+"""Print the size of each room, with its budget and its target (budget.toml).
 
 python -m tools.suite.size
-python -m tools.suite.size --lower      each budget to what there is, after deleting
+python -m tools.suite.size --lower      lower each budget to the present size, after deleting
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def docstring_words(text: str) -> int:
     return sum(len(ast.literal_eval(each.value).split()) for each in docstrings_of(ast.parse(text)))
 
 
-# What a unit counts in the text of one file, and in which files.
+# For each unit: the files, and the function that counts in the text of one file.
 MEASURES = {
     "statements": ("*.py", statements),
     "docstring words": ("*.py", docstring_words),
@@ -53,7 +53,7 @@ MEASURES = {
 
 
 def rooms(root: Path = ROOT) -> list[Room]:
-    """The rooms of budget.toml, in its order; of several paths that hold a file, the longest has it."""
+    """The rooms of budget.toml, in its order; a file belongs to the longest path that contains it."""
     described = tomllib.loads((root / "budget.toml").read_text(encoding="utf-8"))
     sizes: defaultdict[str, int] = defaultdict(int)
     for unit, (pattern, measure) in MEASURES.items():
@@ -73,7 +73,7 @@ def rooms(root: Path = ROOT) -> list[Room]:
 
 
 def sums(of: list[Room]) -> list[Room]:
-    """The rooms, and behind those that count statements their sum, `src`."""
+    """The rooms; those that count statements are followed by their sum, `src`."""
     counted = [room for room in of if room.unit == "statements"]
     size, budget, target = (
         sum(getattr(room, what) for room in counted) for what in ("size", "budget", "target")
