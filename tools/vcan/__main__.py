@@ -34,7 +34,7 @@ GRACE_S = 10.0
 ARPHRD_CAN = "280"
 IFF_UP = 1
 NETWORK = Path(__file__).with_name("network.sh")
-# Words before a command that run it in a network of its own, with the channel, without root.
+# Prefix of a command that runs it in its own network namespace, with the channel, without root.
 PREFIX = ("unshare", "--map-root-user", "--net", "sh", str(NETWORK), CHANNEL)
 
 
@@ -45,7 +45,7 @@ class Kernel:
 
     @contextlib.contextmanager
     def interface(self) -> Iterator[None]:
-        """CHANNEL is up, and afterwards as it was; with a prefix that sees to it."""
+        """Context with CHANNEL up, restored afterwards; a prefix, if any, does this itself."""
         state = "up" if self.prefix else interface_state(CHANNEL)
         if state is None and not _succeeds("ip", "link", "add", "dev", CHANNEL, "type", "vcan"):
             raise VcanError(f"ip link add dev {CHANNEL} type vcan: failed")
@@ -61,7 +61,7 @@ class Kernel:
 
 
 def interface_state(name: str) -> str | None:
-    """ "up" or "down" for a CAN interface, None where there is no such CAN interface."""
+    """State of a CAN interface, "up" or "down"; None if it does not exist."""
     folder = Path("/sys/class/net", name)
     try:
         kind = (folder / "type").read_text().strip()
@@ -93,7 +93,7 @@ def _succeeds(*command: str) -> bool:
 
 
 def find() -> Kernel | Machine:
-    """The best way to a vcan on this machine; a VcanError says what to install."""
+    """The best available vcan on this machine; VcanError says what to install."""
     kernel = find_kernel()
     if kernel is not None:
         return kernel
@@ -104,7 +104,7 @@ def find() -> Kernel | Machine:
 
 
 def run_in_kernel(kernel: Kernel, command: Sequence[str], timeout_s: float | None) -> int:
-    """Run a command beside the kernel's own vcan; returns its exit status."""
+    """Run a command with the vcan of the kernel; returns its exit status."""
     with kernel.interface():
         process = subprocess.Popen(
             [*kernel.prefix, *command], stdin=subprocess.DEVNULL, start_new_session=True
@@ -114,7 +114,7 @@ def run_in_kernel(kernel: Kernel, command: Sequence[str], timeout_s: float | Non
         except subprocess.TimeoutExpired:
             raise TimedOutError(f"ended after {timeout_s:g} s (--timeout)") from None
         except KeyboardInterrupt:
-            # Its own session: pass Ctrl-C on, and let it say how far it came.
+            # The command has its own session: pass Ctrl-C on, and wait for its last output.
             os.killpg(process.pid, signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(GRACE_S)
@@ -124,7 +124,7 @@ def run_in_kernel(kernel: Kernel, command: Sequence[str], timeout_s: float | Non
 
 
 def shell_status(returncode: int) -> int:
-    """Exit status as a shell gives it: 128 + number for a signal."""
+    """Exit status as in a shell: 128 + number for a signal."""
     return 128 - returncode if returncode < 0 else returncode
 
 
@@ -136,7 +136,7 @@ def run(command: Sequence[str], timeout_s: float | None) -> int:
 
 
 def check() -> int:
-    """Say in one line what there is; 0 where a command can be run with a vcan, else 1."""
+    """Print in one line what is available; returns 0 if a command can be run with a vcan, else 1."""
     try:
         way = find()
         if isinstance(way, Kernel):
@@ -202,7 +202,7 @@ def main(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # nobody reads: no complaint at exit either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader has ended: avoid an error at exit
         return 128 + signal.SIGPIPE
 
 

@@ -1,7 +1,7 @@
 """User-mode Linux: a Linux kernel that runs as an ordinary process, with the CAN modules in it.
 
-It is booted with the machine's own files as its root, so the same Python, the same virtual
-environment and the same working directory are there. Used by tools/vcan.
+Its root is the file system of the host, so that Python, virtual environment and working directory are the
+same. Used by tools/vcan.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ FPREGS_FIXED_IN = (6, 13)
 
 
 class VcanError(Exception):
-    """No CAN can be had, or it did not start; the message says what to do."""
+    """No CAN is available, or it did not start; the message says what to do."""
 
 
 class TimedOutError(VcanError):
-    """The command ran longer than it may."""
+    """The command exceeded its time limit."""
 
 
 def which(program: str) -> str | None:
-    """Path of a program, looked for in the administrator's folders too."""
+    """Path of a program, searched also in the folders of root."""
     return shutil.which(program, path=f"{os.environ.get('PATH', os.defpath)}:{SYSTEM_PATH}")
 
 
@@ -60,24 +60,24 @@ def which(program: str) -> str | None:
 class Machine:
     kernel: str
     release: str
-    preload: bool  # the processor has more registers than this kernel can handle: fpregs.c
+    preload: bool  # load fpregs.c: the processor has more registers than this kernel can handle
 
 
 def needs_preload(cpuinfo: str, release: str) -> bool:
-    """Whether this kernel dies on this processor unless fpregs.c is loaded into it."""
+    """Whether this kernel crashes on this processor unless fpregs.c is loaded into it."""
     version = tuple(int(part) for part in release.split("-")[0].split(".")[:2])
     flags = next((line for line in cpuinfo.splitlines() if line.startswith("flags")), "")
     return "amx_tile" in flags.split() and version < FPREGS_FIXED_IN
 
 
 def find_machine() -> Machine:
-    """The installed user-mode Linux; a VcanError says which Debian packages are missing."""
+    """The installed user-mode Linux; VcanError names the missing Debian packages."""
     missing = [package for program, package in PACKAGES.items() if which(program) is None]
     if missing:
         raise VcanError(f"apt-get install {' '.join(missing)}")
     kernel = which("linux.uml") or "linux.uml"
     said = subprocess.run([kernel, "--version"], capture_output=True, text=True, check=True)
-    release = said.stdout.strip()  # as in 6.1.176
+    release = said.stdout.strip()  # e.g. 6.1.176
     preload = needs_preload(Path("/proc/cpuinfo").read_text(), release)
     if preload and which("cc") is None:
         raise VcanError("apt-get install gcc libc6-dev (this processor has AMX; see tools/vcan/fpregs.c)")
@@ -90,15 +90,15 @@ def find_machine() -> Machine:
 
 
 def kernel_arguments(kernel: str, folder: Path, channel: str, console: str, *, quiet: bool) -> list[str]:
-    """Command line of the kernel; console is where its log and /dev/tty0 go, in its own words."""
+    """Command line of the kernel; console: destination of its log and /dev/tty0, in its syntax."""
     talk = ["quiet", "loglevel=0"] if quiet else ["loglevel=7"]
-    # The kernel and its programs are processes here that stop each other at each system call and page fault:
-    # one of them runs at a time. On one processor that is a switch; on two the other one has to wake up each
-    # time, which in a virtual machine takes 3.5 times as long.
+    # The kernel and its programs are processes of the host that stop each other at each system call and page
+    # fault; one of them runs at a time. On one processor this is a context switch; with two, the other one
+    # must wake up each time, which takes 3.5 times as long in a virtual machine.
     processor = max(os.sched_getaffinity(0))
     return [
         *("taskset", "--cpu-list", str(processor)),
-        *("setpriv", "--pdeathsig", "TERM"),  # nothing stays when this process is killed: it then ends itself
+        *("setpriv", "--pdeathsig", "TERM"),  # the kernel ends if this process is killed
         kernel,
         f"mem={MEMORY_MIB}M",
         "rootfstype=hostfs",
@@ -115,25 +115,25 @@ def kernel_arguments(kernel: str, folder: Path, channel: str, console: str, *, q
 
 
 def as_here(command: Sequence[str]) -> str:
-    """Words of shell that run the command with this working directory and this whole environment."""
+    """Shell words that run the command with this working directory and the whole environment."""
     pairs = [f"{name}={value}" for name, value in os.environ.items()]
     return shlex.join(["env", "-i", f"--chdir={os.getcwd()}", *pairs, *command])
 
 
 def run_line(command: Sequence[str], output: Path, errors: Path) -> str:
-    """Line of shell that runs the command, its output into files."""
+    """Shell line that runs the command, with output to files."""
     target = "2>&1" if errors == output else f"2>{shlex.quote(str(errors))}"
     return f"{as_here(command)} </dev/null >{shlex.quote(str(output))} {target}"
 
 
 def shell_line(command: Sequence[str], size: os.terminal_size) -> str:
-    """Lines of shell that run an interactive command on the terminal, with job control."""
+    """Shell lines that run an interactive command on the terminal, with job control."""
     stty = f"stty rows {size.lines} cols {size.columns} </dev/tty0"
     return f"{stty}\nsetsid -w -c {as_here(command)} </dev/tty0 >/dev/tty0 2>&1"
 
 
 def memory_folder() -> str:
-    """Folder for the file that is the machine's memory: it needs the room, and must allow execution."""
+    """Folder for the memory file of the machine: it must have enough space, and allow execution."""
     for folder in MEMORY_FOLDERS:
         with contextlib.suppress(OSError):
             state = os.statvfs(folder)
@@ -166,13 +166,13 @@ def _host_environment(machine: Machine, folder: Path) -> dict[str, str]:
 
 
 def _prepare(folder: Path, run: str) -> None:
-    """What init.sh needs: the modules, and the lines of shell that it runs."""
+    """Write the input of init.sh: the modules, and the shell lines that it runs."""
     for script in SCRIPTS:
         shutil.copy(script, folder)
-    for modules in ("lib/modules", "usr/lib/modules"):  # below -d, by the version of modprobe
+    for modules in ("lib/modules", "usr/lib/modules"):  # folder below -d, depends on the version of modprobe
         (folder / modules).parent.mkdir(parents=True)
         (folder / modules).symlink_to(MODULE_ROOT)
-    # Arguments and environment may hold bytes that are no UTF-8: keep them as they are.
+    # Arguments and environment may contain bytes that are not UTF-8: keep them unchanged.
     (folder / "command").write_text(f"{run}\n", encoding="utf-8", errors="surrogateescape")
 
 
@@ -189,13 +189,13 @@ def _exit_status(folder: Path) -> int:
 
 
 def last_words(log: Sequence[str]) -> Sequence[str]:
-    """The lines of a kernel's log that say why it failed: before a panic, else the last."""
+    """The lines of a kernel log that show why it failed: those before a panic, else the last."""
     panic = next((number for number, line in enumerate(log) if "Kernel panic" in line), len(log) - 1)
     return log[max(0, panic - 11) : panic + 1]
 
 
 def kill_group(process: subprocess.Popen[bytes]) -> None:
-    """End a process that leads its own group, and all that it started; nothing of it is left."""
+    """End a process that leads its own group, with all processes that it started."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -204,11 +204,11 @@ def kill_group(process: subprocess.Popen[bytes]) -> None:
 def run(machine: Machine, command: Sequence[str], channel: str, timeout_s: float | None = None) -> int:
     """Run a command in a user-mode Linux and copy its output; returns its exit status.
 
-    Its standard input is empty. Raises TimedOutError after timeout_s seconds; None waits for ever.
+    Its standard input is empty. TimedOutError after timeout_s seconds; None: no limit.
     """
     with run_folder() as folder:
         output = folder / "output"
-        # One file for both where both go to the same place: their order is kept.
+        # If both outputs go to the same place, one file keeps their order.
         errors = output if os.path.sameopenfile(1, 2) else folder / "errors"
         _prepare(folder, run_line(command, output, errors))
         sinks = {errors: sys.stderr.buffer, output: sys.stdout.buffer}
@@ -238,14 +238,14 @@ def _relay(
     tails: Sequence[tuple[FileIO, BinaryIO]],
     timeout_s: float | None,
 ) -> None:
-    """Copy the output until the command has ended, or the kernel stops before it has started."""
+    """Copy the output until the command has ended, or the kernel has stopped before it started."""
     start, console = time.monotonic(), folder / "console"
     while True:
-        over = _is_over(process, folder)  # asked first: what was written until then is copied
+        over = _is_over(process, folder)  # before copying, so that all output until the end is copied
         for source, sink in tails:
-            shutil.copyfileobj(source, sink)  # what was written meanwhile
+            shutil.copyfileobj(source, sink)  # output since the last round
             sink.flush()
-        # A slow machine takes long to boot, but goes on writing.
+        # A slow machine takes long to boot, but keeps writing.
         silence_s = time.time() - console.stat().st_mtime
         if over or (not (folder / "started").exists() and silence_s > BOOT_SILENCE_S):
             return
@@ -254,7 +254,7 @@ def _relay(
 
 
 def _is_over(process: subprocess.Popen[bytes], folder: Path) -> bool:
-    """Whether the command has left its status, or the machine is gone; waits a little for it."""
+    """Whether the command has written its status, or the machine has ended; waits briefly."""
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(POLL_S)
     return process.poll() is not None or (folder / "status").exists()
@@ -262,7 +262,7 @@ def _is_over(process: subprocess.Popen[bytes], folder: Path) -> bool:
 
 def shell(machine: Machine, command: Sequence[str], channel: str) -> int:
     """Run an interactive command in a user-mode Linux on this terminal; returns its exit status."""
-    import termios  # not there on every system that can import this file
+    import termios  # imported here: not all systems that import this file have it
 
     settings = termios.tcgetattr(0)
     with run_folder() as folder:
