@@ -106,7 +106,7 @@ def test_each_change_of_state_is_told_at_once(bench: DriveBench) -> None:
     for state in ("PRE-OPERATIONAL", "OPERATIONAL"):
         bench.master.nmt.state = state
         assert bench.read(0x6041) == (0x0050 if state.startswith("PRE") else 0x0250)
-    assert bench.words(0x180 + DRIVE_ID)[before:] == [0x0231, 0x0233, 0x0237, 0x0250, 0x0050, 0x0250]
+    assert bench.words(0x180 + DRIVE_ID)[before:] == [0x0231, 0x0233, 0x0237, 0x0250, 0x0250]
 
 
 def test_a_quick_stop_is_the_ramp_of_6085h_and_then_the_power_goes() -> None:

@@ -225,10 +225,7 @@ class ServoDrive(MachineNode):
         """Any change invalidates the feedback; leaving OPERATIONAL switches the power off."""
         super().state_changed(old, new, now, why)
         self.feedback.lose()
-        if new is NmtState.OPERATIONAL:
-            for number in self._events:
-                self.trigger_tpdo(number, now)
-        elif old is NmtState.OPERATIONAL:
+        if old is NmtState.OPERATIONAL:
             self._abort_connection(DriveError.COMMUNICATION)
             if self.power in POWERED:  # no SYNC and no position: the motor must have no torque
                 self._switch(Command.RAMP_DONE)  # the only command that a fault reaction accepts
