@@ -332,10 +332,9 @@ def test_stamps_of_another_clock_that_stands_still_are_not_used(stamp_s: float) 
     assert times.received(clocks.stamp(), clocks.now) is not None, "and cost nothing"
 
 
-@pytest.mark.parametrize(
-    ("ago_s", "used"),
-    [(LONGEST_DELAY_S - 0.01, True), (LONGEST_DELAY_S + 0.01, False), (-4e-4, True), (-6e-4, False)],
-)
+@each("ago_s, used", [
+    (LONGEST_DELAY_S - 0.01, True), (LONGEST_DELAY_S + 0.01, False), (-4e-4, True), (-6e-4, False),
+])  # fmt: skip
 def test_how_far_a_stamp_may_be_off(ago_s: float, used: bool) -> None:
     clocks = Clocks()
     got = clocks.times().received(clocks.stamp(ago_s), clocks.now)

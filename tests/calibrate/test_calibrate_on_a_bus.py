@@ -277,21 +277,18 @@ def lock_of(samples: TrackSamples) -> Fraction | None:
     return find_lock(samples.sine, samples.cosine)
 
 
-@pytest.mark.parametrize(
-    ("speed", "lock"),
-    [
-        (0.0, Fraction(0, 1)),
-        (25.0, Fraction(0, 1)),
-        (-25.0, Fraction(0, 1)),
-        (12.5, Fraction(1, 2)),
-        (83 + 1 / 3, Fraction(1, 3)),
-        (-1 / 3, Fraction(2, 3)),
-        (2 / 7, Fraction(2, 7)),
-        (7 / 16, Fraction(7, 16)),
-        (1.0005, Fraction(0, 1)),
-        *((speed, None) for speed in (0.382, 25.41, 83.5 + 0.004, 1.003, 0.02, 83.34)),
-    ],
-)
+@each("speed, lock", [
+    (0.0, Fraction(0, 1)),
+    (25.0, Fraction(0, 1)),
+    (-25.0, Fraction(0, 1)),
+    (12.5, Fraction(1, 2)),
+    (83 + 1 / 3, Fraction(1, 3)),
+    (-1 / 3, Fraction(2, 3)),
+    (2 / 7, Fraction(2, 7)),
+    (7 / 16, Fraction(7, 16)),
+    (1.0005, Fraction(0, 1)),
+    *((speed, None) for speed in (0.382, 25.41, 83.5 + 0.004, 1.003, 0.02, 83.34)),
+])  # fmt: skip
 def test_small_fractions_are_found_and_what_is_far_enough_from_them_is_no_lock(
     speed: float, lock: Fraction | None
 ) -> None:

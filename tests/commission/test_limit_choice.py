@@ -245,15 +245,12 @@ def test_the_account_of_the_chain_is_that_of_the_stream() -> None:
     assert np.array_equal(found.position, (other.cycles - origin) + other.phase)
 
 
-@pytest.mark.parametrize(
-    ("off_s", "least_s", "most_s", "why"),
-    [
-        (0.0, 0.0, 0.0, "default"),
-        (9e-5, 0.0, 0.0, "default"),
-        (1.5e-4, 2.8e-4, 3.0e-4, "times 2"),
-        (3e-4, 0.0, 0.0, "find its cause"),
-    ],
-)
+@each("off_s, least_s, most_s, why", [
+    (0.0, 0.0, 0.0, "default"),
+    (9e-5, 0.0, 0.0, "default"),
+    (1.5e-4, 2.8e-4, 3.0e-4, "times 2"),
+    (3e-4, 0.0, 0.0, "find its cause"),
+])  # fmt: skip
 def test_the_jitter_of_the_sync_is_measured(off_s: float, least_s: float, most_s: float, why: str) -> None:
     """One SYNC in a hundred comes late by this time."""
     machine = fresh("quiet")

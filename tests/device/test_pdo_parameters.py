@@ -75,10 +75,9 @@ def test_pack_and_unpack_are_inverse_as_a_struct_and_by_bits(
         assert [entry_of(slot).value for slot in slots] == values
 
 
-@pytest.mark.parametrize(
-    ("kind", "value"),
-    [*((DataType.UNSIGNED16, value) for value in (70000, -1, 1.5, "text", None)), (DataType.REAL32, 1e39)],
-)
+@each("kind, value", [
+    *((DataType.UNSIGNED16, value) for value in (70000, -1, 1.5, "text", None)), (DataType.REAL32, 1e39),
+])  # fmt: skip
 def test_a_value_that_does_not_fit_is_named(kind: DataType, value: object) -> None:
     slots = slots_of([DataType.UNSIGNED8, kind])
     entry_of(slots[1]).value = value

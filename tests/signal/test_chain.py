@@ -72,27 +72,24 @@ def test_the_amplitude_is_checked_after_conditioning() -> None:
     assert chain.step(offset).valid
 
 
-@pytest.mark.parametrize(
-    ("kind", "field", "value"),
-    [
-        *((ChainConfig, "cycles_per_revolution", value) for value in (0, 1048577, 2.5)),
-        *((ChainConfig, "adc_bits", value) for value in (3, 17, True)),
-        *((ChainConfig, "coast_samples", value) for value in (-1, 256)),
-        *((ChainConfig, "amplitude_low_counts", value) for value in (-1, 5000)),
-        (ChainConfig, "residual_limit", 0.6), (ChainConfig, "conditioning", 3),
-        (Conditioning, "sine_gain", 0.0), (Conditioning, "cosine_gain", math.nan),
-        *((Conditioning, "harmonic_3_forward_real", value) for value in (0.6, -0.6)),
-        (Conditioning, "phase_error_rad", 1.1),
-        *((Conditioning, name, value) for name in ("cosine_delay_s", "delay_s")
-          for value in (0.011, -0.011, math.nan, math.inf, "1e-6")),
-        (AdaptConfig, "offset", -0.1), (AdaptConfig, "offset", "a"), (AdaptConfig, "gain", 0.6),
-        (AdaptConfig, "phase_rad", math.nan), (AdaptConfig, "rate_per_hour", 10.1),
-        *((SecondSensor, "increments", value) for value in (0, 2**32, 1.0)),
-        *((SecondSensor, "tolerance_revolutions", value) for value in (-0.1, 0.26, math.nan)),
-        (SecondSensor, "revolutions", 0), (SecondSensor, "reversed", 1), (SecondSensor, "invalidates", "no"),
-        *((Tracker, "residual_limit", value) for value in (0.0, -1.0, 0.51, math.nan)),
-    ],
-)  # fmt: skip
+@each("kind, field, value", [
+    *((ChainConfig, "cycles_per_revolution", value) for value in (0, 1048577, 2.5)),
+    *((ChainConfig, "adc_bits", value) for value in (3, 17, True)),
+    *((ChainConfig, "coast_samples", value) for value in (-1, 256)),
+    *((ChainConfig, "amplitude_low_counts", value) for value in (-1, 5000)),
+    (ChainConfig, "residual_limit", 0.6), (ChainConfig, "conditioning", 3),
+    (Conditioning, "sine_gain", 0.0), (Conditioning, "cosine_gain", math.nan),
+    *((Conditioning, "harmonic_3_forward_real", value) for value in (0.6, -0.6)),
+    (Conditioning, "phase_error_rad", 1.1),
+    *((Conditioning, name, value) for name in ("cosine_delay_s", "delay_s")
+      for value in (0.011, -0.011, math.nan, math.inf, "1e-6")),
+    (AdaptConfig, "offset", -0.1), (AdaptConfig, "offset", "a"), (AdaptConfig, "gain", 0.6),
+    (AdaptConfig, "phase_rad", math.nan), (AdaptConfig, "rate_per_hour", 10.1),
+    *((SecondSensor, "increments", value) for value in (0, 2**32, 1.0)),
+    *((SecondSensor, "tolerance_revolutions", value) for value in (-0.1, 0.26, math.nan)),
+    (SecondSensor, "revolutions", 0), (SecondSensor, "reversed", 1), (SecondSensor, "invalidates", "no"),
+    *((Tracker, "residual_limit", value) for value in (0.0, -1.0, 0.51, math.nan)),
+])  # fmt: skip
 def test_a_bad_parameter_raises_at_once_and_is_named(kind: type, field: str, value: Any) -> None:
     with pytest.raises(ValueError, match=field):
         kind(**{field: value})

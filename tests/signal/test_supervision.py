@@ -64,17 +64,14 @@ def test_a_small_converter_keeps_its_range(full: int, margin: int) -> None:
             assert checks.faults(at_end, 0, 1.5) == bits
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "narrow_low", "narrow_high"),
-    [
-        (3200, 3627, 3300.0, 3520.25),  # a quarter of the window, 106.75, is less than 1/32 of its upper end
-        (3200, 3604, 3300.0, 3503.0),
-        (3200, 3596, 3299.0, 3497.0),  # ... and here, 99, also than 1/32 of its lower end
-        (1000, 1050, 1012.5, 1037.5),
-        (7, 8, 7.21875, 7.75),
-        (0, 4, 0.0, 3.875),
-    ],
-)
+@each("low, high, narrow_low, narrow_high", [
+    (3200, 3627, 3300.0, 3520.25),  # a quarter of the window, 106.75, is less than 1/32 of its upper end
+    (3200, 3604, 3300.0, 3503.0),
+    (3200, 3596, 3299.0, 3497.0),  # ... and here, 99, also than 1/32 of its lower end
+    (1000, 1050, 1012.5, 1037.5),
+    (7, 8, 7.21875, 7.75),
+    (0, 4, 0.0, 3.875),
+])  # fmt: skip
 def test_a_narrow_window_of_the_amplitude_stays_open(
     low: int, high: int, narrow_low: float, narrow_high: float
 ) -> None:

@@ -364,18 +364,15 @@ class Watched:
             assert self.producer.tick(self.now) == [SYNC]
 
 
-@pytest.mark.parametrize(
-    ("asked", "held", "seconds", "times"),
-    [
-        (500.0, 443.0, 40.0, 1),
-        (1000.0, 970.0, 40.0, 1),
-        (100.0, 50.0, AGAIN_S - 1.0, 1),
-        (100.0, 50.0, AGAIN_S + 5.0, 2),
-        (500.0, 1000.0, 10.0, 0),
-        (100.0, 99.5, 10.0, 0),
-        (0.5, 10.0, 500.0, 0),
-    ],
-)
+@each("asked, held, seconds, times", [
+    (500.0, 443.0, 40.0, 1),
+    (1000.0, 970.0, 40.0, 1),
+    (100.0, 50.0, AGAIN_S - 1.0, 1),
+    (100.0, 50.0, AGAIN_S + 5.0, 2),
+    (500.0, 1000.0, 10.0, 0),
+    (100.0, 99.5, 10.0, 0),
+    (0.5, 10.0, 500.0, 0),
+])  # fmt: skip
 def test_a_rate_that_is_not_reached_is_said_once_a_minute(
     asked: float, held: float, seconds: float, times: int
 ) -> None:

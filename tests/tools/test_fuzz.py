@@ -98,19 +98,16 @@ READ = Frame(SERVER, bytes.fromhex("4000100000000000"))
 ANSWER = bytes.fromhex("4300100096010400")
 
 
-@pytest.mark.parametrize(
-    ("command", "extra", "text"),
-    [
-        (128, Frame(FIRST_ANSWER, ANSWER), "one answer too many"),
-        (2, Frame(FIRST_ANSWER, ANSWER), "an SDO answer in STOPPED"),
-        (128, Frame(0x1A0, bytes(8)), "in PRE_OPERATIONAL, which has no such service"),
-        (2, Frame(0x0A0, bytes(8)), "in STOPPED, which has no such service"),
-        (1, Frame(0x555, b""), "in OPERATIONAL, which has no such service"),
-        (1, Frame(0x1A0, bytes(9)), "impossible frame"),
-        (1, Frame(0x000, bytes(2)), "impossible frame"),
-        (1, Frame(0x1A0, b"", True), "a remote frame"),
-    ],
-)
+@each("command, extra, text", [
+    (128, Frame(FIRST_ANSWER, ANSWER), "one answer too many"),
+    (2, Frame(FIRST_ANSWER, ANSWER), "an SDO answer in STOPPED"),
+    (128, Frame(0x1A0, bytes(8)), "in PRE_OPERATIONAL, which has no such service"),
+    (2, Frame(0x0A0, bytes(8)), "in STOPPED, which has no such service"),
+    (1, Frame(0x555, b""), "in OPERATIONAL, which has no such service"),
+    (1, Frame(0x1A0, bytes(9)), "impossible frame"),
+    (1, Frame(0x000, bytes(2)), "impossible frame"),
+    (1, Frame(0x1A0, b"", True), "a remote frame"),
+])  # fmt: skip
 def test_a_frame_that_must_not_be_is_found(command: int, extra: Frame, text: str) -> None:
     run = started(MODULE)
     run.receive(Frame(0x000, bytes([command, NODE_ID])))

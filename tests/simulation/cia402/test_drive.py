@@ -125,10 +125,9 @@ def test_a_restart_is_a_fault_at_once_and_is_told_once(of_module: bool, command:
         assert {code, 0x680 + code} <= moved[-1]
 
 
-@pytest.mark.parametrize(
-    ("option", "state"),
-    [*enumerate([State.OPERATION_ENABLED, State.FAULT, State.SWITCH_ON_DISABLED, State.QUICK_STOP_ACTIVE])],
-)
+@each("option, state", [
+    *enumerate([State.OPERATION_ENABLED, State.FAULT, State.SWITCH_ON_DISABLED, State.QUICK_STOP_ACTIVE]),
+])  # fmt: skip
 def test_6007h_says_what_a_lost_heartbeat_does(option: int, state: State) -> None:
     bench = cruising()
     bench.write(0x6007, option)
@@ -372,14 +371,11 @@ def test_a_step_of_one_revolution() -> None:
 FREE = {"coulomb_friction_nm": 0.0, "viscous_friction_nm_s": 0.0}
 
 
-@pytest.mark.parametrize(
-    ("fields", "rms", "peak"),
-    [
-        ({}, (0.05, 0.25), (0.2, 0.8)),
-        ({"synchronous": True}, (0.05, 0.25), (0.2, 0.8)),
-        (FREE, (0.002, 0.05), (0.005, 0.1)),
-    ],
-)
+@each("fields, rms, peak", [
+    ({}, (0.05, 0.25), (0.2, 0.8)),
+    ({"synchronous": True}, (0.05, 0.25), (0.2, 0.8)),
+    (FREE, (0.002, 0.05), (0.005, 0.1)),
+])  # fmt: skip
 def test_a_sine_is_followed(
     fields: dict[str, Any], rms: tuple[float, float], peak: tuple[float, float]
 ) -> None:

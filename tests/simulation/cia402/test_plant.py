@@ -478,10 +478,9 @@ def test_the_nearest_of_all_positions_that_show_alike(target: int, reference: in
     assert abs(place - reference) <= 1 << 31
 
 
-@pytest.mark.parametrize(
-    ("value", "shown"),
-    [(1.4, 1), (-1.6, -2), (40000.0, 32767), (-1e99, -32768), (float("inf"), 32767), (float("nan"), 0)],
-)
+@each("value, shown", [
+    (1.4, 1), (-1.6, -2), (40000.0, 32767), (-1e99, -32768), (float("inf"), 32767), (float("nan"), 0),
+])  # fmt: skip
 def test_what_does_not_fit_is_saturated(value: float, shown: int) -> None:
     assert saturated(value, 16) == shown
 
