@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from math import inf
+from math import inf, nan
 from pathlib import Path
 
 import pytest
@@ -102,6 +102,13 @@ def test_a_change_of_other_parameters_is_no_new_configuration(bench: Bench) -> N
 def test_wrong_arguments(silent: Bench, words: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         type(silent.node)(silent.dictionary, **{"node_id": ID, **words})  # type: ignore[arg-type]
+
+
+@each("now", [inf, -inf, nan])
+def test_a_tick_at_no_time(bench: Bench, now: float) -> None:
+    with pytest.raises(ValueError, match=f"now must be a finite number, not {now}"):
+        bench.node.tick(now)
+    assert bench.node.now == bench.now
 
 
 # A device with the mandatory objects only: every other service does without its objects.

@@ -195,6 +195,11 @@ class Timed(ABC):
             self._deadline = due
             self.agenda.moved = True
 
+    def repeat(self, now: float, period_s: float) -> None:
+        """One period on; missed ones are left out."""
+        following = self.deadline + period_s
+        self.deadline = following if following > now else now + period_s
+
     @abstractmethod
     def tick(self, now: float) -> None:
         """Do what is due, and move the deadline on."""

@@ -75,11 +75,8 @@ class HeartbeatProducer(Timed):
         self.deadline = now + period if period else NEVER
 
     def tick(self, now: float) -> None:
-        """Send one heartbeat, even if several are due."""
         self._core.emit(Frame(self._can_id, bytes([self._core.state])))
-        period = self.period_s
-        following = self.deadline + period if period else NEVER
-        self.deadline = following if following > now else now + period
+        self.repeat(now, self.period_s)
 
     def _written(self) -> None:
         self.deadline = self._core.call.now if self.period_s else NEVER

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol, runtime_checkable
 
+from canfb import checks
 from canfb.cia301.codes import EmergencyCode, ErrorRegister, NmtState
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame
 from canfb.device.core import NEVER, Application, CanIds, Expiry, Groups
@@ -166,7 +167,11 @@ class Node:
         return sent
 
     def tick(self, now: float, until: float = NEVER) -> list[Frame]:
-        """Do what was due at ``until``, by default ``now``: frames received after it may still wait."""
+        """Do what was due at ``until``, by default ``now``: frames received after it may still wait.
+
+        ValueError if ``now`` is not finite.
+        """
+        checks.number("now", now)
         until = min(now, until)
         call = self.call
         call.now = call.received = now

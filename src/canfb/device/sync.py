@@ -123,10 +123,8 @@ class Sync(Timed):
         return not wrong
 
     def tick(self, now: float) -> None:
-        """Produce one SYNC; skip missed periods."""
-        period = self._period_s
-        following = self.deadline + period
-        self.deadline = following if following > now else now + period
+        """Produce the SYNC that is due."""
+        self.repeat(now, self._period_s)
         data = b""
         if self._length:
             self._counter = self._counter % self._overflow.value + 1
@@ -148,8 +146,7 @@ class Sync(Timed):
 
     def _start(self, now: float) -> None:
         self._counter = 0
-        running = self._enabled and self.generates
-        self.deadline = now + self._period_s if running else NEVER
+        self.deadline = now + self._period_s if self._enabled and self.generates else NEVER
 
     def _restart(self) -> None:
         self._read()
