@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from canfb.cli.calibrate import measured_nodes, over_bus
+from canfb.cli.calibrate import measured, measured_nodes
 from canfb.cli.commands import build_parser
 from canfb.cli.printing import Progress
 from canfb.configuration import Config
@@ -28,8 +28,8 @@ def command(
     options = build_parser().parse_args(["calibrate", *arguments])
     if options.out:
         prepare_folder(options.out)
-    nodes = measured_nodes(options, config or Config())
-    return over_bus(master, options, nodes, progress or Progress(quiet=True), guard or Guard(), "2026-03-01")
+    nodes, guard, quiet = measured_nodes(options, config or Config()), guard or Guard(), Progress(quiet=True)
+    return measured(options, progress or quiet, "2026-03-01", lambda run: run.over_bus(master, *nodes, guard))
 
 
 def calibrate(bench: Bench, *arguments: str, **words: Any) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from canfb.bus import opening
-from canfb.cli import calibrate as calibrate_command
+from canfb.calibrate.calibration_run import CalibrationRun
 from canfb.cli.printing import CLEAR, Progress
 from canfb.errors import BusError
 from canfb.signal.correction import CorrectionTable
@@ -54,7 +54,7 @@ def test_who_produces_the_sync_has_to_hear_it(monkeypatch: pytest.MonkeyPatch, c
 
 
 def test_ctrl_c_is_exit_code_130_and_one_line(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
-    monkeypatch.setattr(calibrate_command, "over_bus", lambda *rest: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(CalibrationRun, "over_bus", lambda *rest: signal.raise_signal(signal.SIGINT))
     said = command("calibrate -i virtual -c interrupted", code=130)
     assert said.err == "canfb: interrupted; nothing more is written to the module\n"
 

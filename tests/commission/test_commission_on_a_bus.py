@@ -16,7 +16,7 @@ from canfb import objects as od
 from canfb.calibration.path_fit import LowPass
 from canfb.cia301.frame import Frame
 from canfb.cli.commands import build_parser
-from canfb.cli.commission import measured_nodes, named_config, over_bus
+from canfb.cli.commission import measured_nodes, named_config, run as commissioned, say_result, wishes_of
 from canfb.cli.printing import Progress
 from canfb.commission.limit_choice import corner_choice
 from canfb.device.storage.storage import MemoryStore
@@ -51,8 +51,8 @@ def run(bench: Bench, *words: str, guard: Guard | None = None) -> int:
     options.line = "canfb commission"
     if options.out:
         prepare_folder(options.out)
-    nodes, quiet = measured_nodes(options, named_config(options)), Progress(quiet=True)
-    return over_bus(bench.master, options, nodes, quiet, guard or Guard(), "2026-03-01")
+    asked, quiet = (*measured_nodes(options, named_config(options)), wishes_of(options)), Progress(quiet=True)
+    return say_result(options, commissioned(bench.master, *asked, guard or Guard(), quiet, "2026-03-01"))
 
 
 def commission(bench: Bench, *arguments: str, guard: Guard | None = None) -> int:

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from canfb import objects as od
-from canfb.cli.calibrate import over_bus
+from canfb.cli.calibrate import measured
 from canfb.cli.commands import build_parser
 from canfb.cli.printing import Progress
 from canfb.master.access import CommissioningError, NodeAccess
@@ -258,8 +258,10 @@ def test_calibrating_on_a_bus_that_jitters(capsys: pytest.CaptureFixture[str]) -
     bench, rpm = Bench(random_encoder(3), rpm=600.0, timing=JITTER), 600.0
     bench.access.write(0x1006, 0, "I", 1000)
     bench.bus.run_until(0.2)
-    options = build_parser().parse_args(["calibrate", "--seconds", "5", "--json"])
-    assert over_bus(bench.master, options, (32, None), Progress(quiet=True), Guard(), "2026-03-01") == 0
+    options, master = build_parser().parse_args(["calibrate", "--seconds", "5", "--json"]), bench.master
+    assert (
+        measured(options, Progress(quiet=True), "", lambda run: run.over_bus(master, 32, None, Guard())) == 0
+    )
     figures = json.loads(capsys.readouterr().out)
     noise = bench.encoder.noise_lsb / (2 * np.pi * bench.encoder.amplitude_counts)
     stamps = rpm / 60 * 2500 * 100e-9 / 12**0.5

@@ -42,8 +42,6 @@ from canfb.cli.options import (
 from canfb.cli.printing import Progress, shown_progress
 from canfb.errors import CalibrationError
 from canfb.files import prepare_folder
-from canfb.master.access import Master
-from canfb.master.all_or_nothing import Guard
 from canfb.rows import Result
 
 
@@ -186,29 +184,21 @@ def calibrate(options: argparse.Namespace) -> int:
         prepare_folder(choices.out)
     with shown_progress(quiet=options.json, interrupted="nothing more is written to the module") as progress:
         if choices.samples:
-            return _said(
+            return measured(
                 options, progress, date_and_time(), partial(CalibrationRun.from_file, path=choices.samples)
             )
         nodes = measured_nodes(options, config)  # reports wrong options before the bus is opened
         with sync_master(options, config) as (master, guard):
-            return over_bus(master, options, nodes, progress, guard, date_and_time())
+            return measured(
+                options, progress, date_and_time(), lambda run: run.over_bus(master, *nodes, guard)
+            )
 
 
-def over_bus(
-    master: Master,
-    options: argparse.Namespace,
-    nodes: tuple[int, int | None],
-    progress: Progress,
-    guard: Guard,
-    date: str,
-) -> int:
-    """Calibrate on an open bus; returns the exit code. ``date``: ISO 8601, a space before the time."""
-    return _said(options, progress, date, lambda run: run.over_bus(master, *nodes, guard))
-
-
-def _said(
+def measured(
     options: argparse.Namespace, progress: Progress, date: str, measure: Callable[[CalibrationRun], Result]
 ) -> int:
+    """Print the result of ``measure``; returns the exit code. ``date``: ISO 8601, a space before the time."""
+
     def refused(error: CalibrationError) -> None:
         if options.json:
             refusal = {"accepted": False, "reason": error.reason, "message": str(error)}

@@ -19,12 +19,10 @@ from canfb.cli.options import (
     named_config,
     option,
 )
-from canfb.cli.printing import Progress, shown_progress
+from canfb.cli.printing import shown_progress
 from canfb.commission.commission_run import CommissionOptions, commission as run
 from canfb.errors import ConfigError
 from canfb.files import prepare_folder
-from canfb.master.access import Master
-from canfb.master.all_or_nothing import Guard
 
 
 def register(commands: Commands) -> None:
@@ -95,18 +93,7 @@ def commission(options: argparse.Namespace) -> int:
         shown_progress(quiet=options.json, interrupted=as_before) as progress,
         sync_master(options, config) as (master, guard),
     ):
-        return over_bus(master, options, nodes, progress, guard, date_and_time())
-
-
-def over_bus(
-    master: Master,
-    options: argparse.Namespace,
-    nodes: tuple[int, int | None],
-    progress: Progress,
-    guard: Guard,
-    date: str,
-) -> int:
-    return say_result(options, run(master, *nodes, wishes_of(options), guard, progress, date), progress)
+        return say_result(options, run(master, *nodes, wishes, guard, progress, date_and_time()), progress)
 
 
 def wishes_of(options: argparse.Namespace) -> CommissionOptions:
