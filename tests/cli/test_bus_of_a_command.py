@@ -134,6 +134,10 @@ def test_the_default_bus_is_remembered_and_said(
     command("use --forget")
     command("use -c can0", code=2)
     command("use -i none", code=2)
+    monkeypatch.delenv("XDG_CONFIG_HOME")
+    monkeypatch.setenv("HOME", "~")  # Path.home raises, as for a user without an entry
+    assert command("use").lines == ["no default bus"]
+    assert "set XDG_CONFIG_HOME" in command("use -i virtual -c x", code=1).err
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 
 from canfb.cli.commands import COMMANDS, examples_of
 from canfb.cli.printing import report
-from canfb.errors import ConfigError
+from canfb.errors import ConfigError, saying
 
 if TYPE_CHECKING:
     from canfb.configuration import Config
@@ -176,8 +176,9 @@ def given_bus(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def default_bus_file() -> Path:
-    """File of the default bus: in XDG_CONFIG_HOME (Windows: APPDATA), else ~/.config."""
-    folder = os.environ.get("XDG_CONFIG_HOME") or os.environ.get("APPDATA") or Path.home() / ".config"
+    """File in XDG_CONFIG_HOME (Windows: APPDATA), else ~/.config. FileNotFoundError without a home folder."""
+    with saying(FileNotFoundError, "no folder for a default bus, set XDG_CONFIG_HOME", RuntimeError):
+        folder = os.environ.get("XDG_CONFIG_HOME") or os.environ.get("APPDATA") or Path.home() / ".config"
     return Path(folder) / "canfb" / "bus.json"
 
 
@@ -185,8 +186,8 @@ def remembered() -> dict[str, Any]:
     """Options of python-can of the default bus, except those in the environment. ConfigError."""
     if "CAN_INTERFACE" in os.environ:
         return {}
-    path = default_bus_file()
     try:
+        path = default_bus_file()
         words = dict(json.loads(path.read_text(encoding="utf-8")))
     except FileNotFoundError:
         return {}
