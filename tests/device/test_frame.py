@@ -10,23 +10,21 @@ from hypothesis import given, strategies as st
 import canfb
 from canfb import FeedbackModule, Frame
 from canfb.device.core import STAMP_NOISE_S, CallContext
+from folding import each
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "words"),
-    [
-        ((0x123, bytes(9)), ValueError, "0 to 8 bytes, not 9"),
-        ((0x800, b""), ValueError, "0 to 7FFh .*, not 800h"),
-        ((-1, b""), ValueError, "can_id"),
-        (("123", b""), TypeError, "can_id"),
-        ((True, b""), TypeError, "can_id"),
-        ((0x123, "data"), TypeError, "data must be bytes, not str"),
-        ((0x123, 8), TypeError, "data must be bytes, not int"),
-        ((0x123, [1, 2]), TypeError, "data must be bytes, not list"),
-        ((0x123, b"", 1), TypeError, "rtr"),
-        ((0x123, b"", False, "now"), TypeError, "timestamp"),
-    ],
-)
+@each("arguments, error, words", [
+    ((0x123, bytes(9)), ValueError, "0 to 8 bytes, not 9"),
+    ((0x800, b""), ValueError, "0 to 7FFh .*, not 800h"),
+    ((-1, b""), ValueError, "can_id"),
+    (("123", b""), TypeError, "can_id"),
+    ((True, b""), TypeError, "can_id"),
+    ((0x123, "data"), TypeError, "data must be bytes, not str"),
+    ((0x123, 8), TypeError, "data must be bytes, not int"),
+    ((0x123, [1, 2]), TypeError, "data must be bytes, not list"),
+    ((0x123, b"", 1), TypeError, "rtr"),
+    ((0x123, b"", False, "now"), TypeError, "timestamp"),
+])  # fmt: skip
 def test_a_frame_that_is_none_is_refused(
     arguments: tuple[object, ...], error: type[Exception], words: str
 ) -> None:

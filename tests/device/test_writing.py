@@ -13,6 +13,7 @@ from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import MOST_WAITING, POLL_S, Changes, MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from folding import each
 
 SAVE, LOAD = "2310100173617665", "231110016C6F6164"
 SAVED, LOADED = "6010100100000000", "6011100100000000"
@@ -102,14 +103,11 @@ def test_the_answer_comes_when_the_values_are_kept_or_not(
     assert machine.later() == [f"5A0#{SAVED}"]
 
 
-@pytest.mark.parametrize(
-    ("can_id", "data"),
-    [
-        (0x620, "4000100000000000"),
-        (0x620, "8010100100000405"),
-        *((0x000, f"{command}20") for command in ("02", "81", "82")),
-    ],
-)
+@each("can_id, data", [
+    (0x620, "4000100000000000"),
+    (0x620, "8010100100000405"),
+    *((0x000, f"{command}20") for command in ("02", "81", "82")),
+])  # fmt: skip
 def test_what_ends_the_transfer_ends_no_save_and_gets_no_late_answer(can_id: int, data: str) -> None:
     machine = Machine()
     assert machine.write(0x1017, 0, 500, 2) == OK

@@ -24,6 +24,7 @@ from canfb.master.session import agreed_layout
 from canfb.simulation.embedded_bus import SyncTiming
 from canfb.view.module_view import PdoLayout, coarse_layout
 from commissioning_kit import RATE_HZ, Bench, random_encoder
+from folding import each
 
 LAYOUT = PdoLayout(0x190)
 OFF = 1 << 31
@@ -120,14 +121,11 @@ def losing(lost: Callable[[int], bool]) -> Bench:
     return bench
 
 
-@pytest.mark.parametrize(
-    ("made", "words"),
-    [
-        (lambda: Bench(sync=False), r"no SYNC \(080h\) for 2 s: start the node .* \(--rate HZ\)"),
-        (lambda: Bench(operational=False), "SYNC is received, but not PDO 190h .* OPERATIONAL"),
-        (lambda: losing(lambda n: n % 3 > 0), "SYNCs were not followed by PDO 190h"),
-    ],
-)
+@each("made, words", [
+    (lambda: Bench(sync=False), r"no SYNC \(080h\) for 2 s: start the node .* \(--rate HZ\)"),
+    (lambda: Bench(operational=False), "SYNC is received, but not PDO 190h .* OPERATIONAL"),
+    (lambda: losing(lambda n: n % 3 > 0), "SYNCs were not followed by PDO 190h"),
+])  # fmt: skip
 def test_what_does_not_come_is_said(made: Callable[[], Bench], words: str) -> None:
     with pytest.raises(CommissioningError, match=words):
         listen(made().master, LAYOUT, 0.5)
@@ -159,14 +157,11 @@ def test_another_mapping_and_cob_id_are_found() -> None:
     assert layout.unpack(struct.pack("<hhh", 5, 0, -7)) == (-7, 5)
 
 
-@pytest.mark.parametrize(
-    ("index", "cob_ids", "words"),
-    [
-        (0x1400, [OFF | 0x191, 0x191], "receives its samples in PDO 191h, but .* sends them in 190h"),
-        (0x1800, [OFF | 0x190], "encoder interface 16 .* has no valid TPDO"),
-        (0x1400, [OFF | 0x190], "module 32 .* has no valid RPDO"),
-    ],
-)
+@each("index, cob_ids, words", [
+    (0x1400, [OFF | 0x191, 0x191], "receives its samples in PDO 191h, but .* sends them in 190h"),
+    (0x1800, [OFF | 0x190], "encoder interface 16 .* has no valid TPDO"),
+    (0x1400, [OFF | 0x190], "module 32 .* has no valid RPDO"),
+])  # fmt: skip
 def test_a_pdo_that_is_off_or_elsewhere_is_told(index: int, cob_ids: list[int], words: str) -> None:
     bench = Bench(sync=False)
     node = bench.access if index == 0x1400 else bench.interface_access

@@ -16,6 +16,7 @@ from canfb.master.all_or_nothing import check_unlocked
 from canfb.simulation.embedded_bus import REGULAR, SyncProducer
 from canfb.simulation.encoder import Motion, Ramp, Ripple
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, heard, lose, running
+from folding import each
 from node_commands import Commands
 
 ERROR_CONTROL = 0x700 + MODULE_ID
@@ -65,17 +66,14 @@ def test_a_lost_remote_frame_is_sent_again() -> None:
         nmt_state(bench.access)
 
 
-@pytest.mark.parametrize(
-    ("data", "state"),
-    [
-        (b"\x00", NmtState.PRE_OPERATIONAL),
-        (b"\x85", NmtState.OPERATIONAL),
-        (b"\x04", NmtState.STOPPED),
-        (b"\x33", None),
-        (b"", None),
-        (struct.pack("<H", 5), None),
-    ],
-)
+@each("data, state", [
+    (b"\x00", NmtState.PRE_OPERATIONAL),
+    (b"\x85", NmtState.OPERATIONAL),
+    (b"\x04", NmtState.STOPPED),
+    (b"\x33", None),
+    (b"", None),
+    (struct.pack("<H", 5), None),
+])  # fmt: skip
 def test_what_a_frame_says(data: bytes, state: NmtState | None) -> None:
     assert state_in(data) is state
 

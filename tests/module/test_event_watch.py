@@ -15,6 +15,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.module.events import Event, EventKind
 from canfb.objects import LossCause, StatusBit
 from canfb.signal.speeds import STILL_SAMPLES
+from folding import each
 from ideal_tracks import adc_pdo, wavy_table
 
 PERIOD_S, ADC_S = 1e-3, 2e-4
@@ -122,15 +123,12 @@ def off_time(machine: Machine) -> None:
     machine.run(1)
 
 
-@pytest.mark.parametrize(
-    ("fields", "cycles_s", "act", "words"),
-    [
-        ({}, 5.0, lambda one: one.run(20, amplitude=200.0), "amplitude 200 counts outside of"),
-        ({}, 5.0, lambda one: one.run(20, amplitude=2500.0), "clipped"),
-        ({"stamped": False}, 180.0, late, "SYNC 1.5 ms late, one may have been missed: "),
-        ({"times": True}, 300.0, off_time, "position coasting: the sample time is not where it was due"),
-    ],
-)
+@each("fields, cycles_s, act, words", [
+    ({}, 5.0, lambda one: one.run(20, amplitude=200.0), "amplitude 200 counts outside of"),
+    ({}, 5.0, lambda one: one.run(20, amplitude=2500.0), "clipped"),
+    ({"stamped": False}, 180.0, late, "SYNC 1.5 ms late, one may have been missed: "),
+    ({"times": True}, 300.0, off_time, "position coasting: the sample time is not where it was due"),
+])  # fmt: skip
 def test_what_takes_the_validity_is_named(
     fields: dict[str, Any], cycles_s: float, act: Callable[[Machine], None], words: str
 ) -> None:

@@ -16,6 +16,7 @@ from canfb.signal.supervision import MISSED, VALID
 from canfb.simulation.encoder import Encoder, Motion, MotionSource, Ramp, ShaftEncoder
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import Source, SourceError
+from folding import each
 from ideal_tracks import counts_at
 from played import repeated
 
@@ -54,23 +55,20 @@ WHOLE = Sample(100.4, -200.0, coarse_sine=7, coarse_cosine=-8, zero_pulse=0.25, 
 FIT = "does not fit INTEGER16"
 
 
-@pytest.mark.parametrize(
-    ("sample", "objects"),
-    [
-        (WHOLE, [100, -200, 7, -8, 5, 1, 16384]),
-        (WHOLE._replace(invalid=True, zero_pulse=None, time_100ns=6), [100, -200, 7, -8, 6, 2, 0]),
-        (Sample(32767.4, -32768.4, zero_pulse=0.0), [32767, -32768, 0, 0, 0, 1, 0]),
-        (Sample(1, 2, zero_pulse=1.0), [1, 2, 0, 0, 0, 1, 65535]),
-        (Sample(1, 2, coarse_sine=7, time_100ns=-1), [1, 2, 0, 0, 2**32 - 1, 0, 0]),
-        (Sample(0, 0, elapsed=math.inf), "elapsed inf is not a number of intervals"),
-        (Sample(0, 0, elapsed=0.0), "elapsed 0.0 is not a number of intervals"),
-        (Sample(0, 0, elapsed=math.nan), "elapsed nan is not a number of intervals"),
-        (Sample(0, 0, zero_pulse=1.01), "zero_pulse 1.01 is not a fraction of the interval"),
-        (Sample(0, 0, zero_pulse=-0.01), "zero_pulse -0.01 is not a fraction of the interval"),
-        (Sample(0, 0, coarse_sine=0, coarse_cosine=32768), f"coarse_cosine 32768 {FIT}"),
-        *((Sample(n, 0), f"sine {n} {FIT}") for n in (32_768, -32_769, math.nan, math.inf)),
-    ],
-)
+@each("sample, objects", [
+    (WHOLE, [100, -200, 7, -8, 5, 1, 16384]),
+    (WHOLE._replace(invalid=True, zero_pulse=None, time_100ns=6), [100, -200, 7, -8, 6, 2, 0]),
+    (Sample(32767.4, -32768.4, zero_pulse=0.0), [32767, -32768, 0, 0, 0, 1, 0]),
+    (Sample(1, 2, zero_pulse=1.0), [1, 2, 0, 0, 0, 1, 65535]),
+    (Sample(1, 2, coarse_sine=7, time_100ns=-1), [1, 2, 0, 0, 2**32 - 1, 0, 0]),
+    (Sample(0, 0, elapsed=math.inf), "elapsed inf is not a number of intervals"),
+    (Sample(0, 0, elapsed=0.0), "elapsed 0.0 is not a number of intervals"),
+    (Sample(0, 0, elapsed=math.nan), "elapsed nan is not a number of intervals"),
+    (Sample(0, 0, zero_pulse=1.01), "zero_pulse 1.01 is not a fraction of the interval"),
+    (Sample(0, 0, zero_pulse=-0.01), "zero_pulse -0.01 is not a fraction of the interval"),
+    (Sample(0, 0, coarse_sine=0, coarse_cosine=32768), f"coarse_cosine 32768 {FIT}"),
+    *((Sample(n, 0), f"sine {n} {FIT}") for n in (32_768, -32_769, math.nan, math.inf)),
+])  # fmt: skip
 def test_a_sample_stands_in_2000h_or_is_a_failure(sample: Sample, objects: list[int] | str) -> None:
     local = Local(repeated(sample))
     local.sync()

@@ -16,6 +16,7 @@ from module_bench import SYNC, Bench
 import canfb
 from canfb.cia301.frame import Frame
 from canfb.signal.supervision import EXTRAPOLATED, LOST, VALID
+from folding import each
 from ideal_tracks import adc_pdo
 
 NODE, INTERFACE = 0x20, 0x10
@@ -602,14 +603,11 @@ def test_a_speed_near_the_limit_is_warned_of_once(jitter_us: float, rpm: float) 
     assert module.feedback.valid
 
 
-@pytest.mark.parametrize(
-    ("rpm", "jitter_us", "stamped", "times"),
-    [
-        (60.0, 10.0, True, False),  # far below
-        (160.0, 10.0, False, False),  # not measured: the time of the call says nothing of SYNC
-        (1500.0, 100.0, True, True),  # sample times
-    ],
-)
+@each("rpm, jitter_us, stamped, times", [
+    (60.0, 10.0, True, False),  # far below
+    (160.0, 10.0, False, False),  # not measured: the time of the call says nothing of SYNC
+    (1500.0, 100.0, True, True),  # sample times
+])  # fmt: skip
 def test_nothing_is_said_without_need(rpm: float, jitter_us: float, stamped: bool, times: bool) -> None:
     assert turning(rpm, jitter_us, stamped=stamped, times=times)[0] == []
 
@@ -717,17 +715,14 @@ def test_a_part_that_waits_for_sync_ends_its_sample_before_those_that_are_missin
     assert all(abs(one.cycles - one.truth) < 0.5 for one in machine.positions[70:] if one.valid)
 
 
-@pytest.mark.parametrize(
-    ("speed", "times", "overflow", "syncs", "counted"),
-    [
-        # Between two places, nearer to the next; the next one is not at its place either.
-        (0.9, False, 20, [(100, 100), (100.84, None), (101, 101), (102.16, 102)], (13, 1)),
-        # It comes just before two periods without one are over: the sample that waited is of either.
-        *((speed, True, 0, [(100.99, 101)], (1, 2)) for speed in (0.3, 0.9, 3.3)),
-        # An extra one takes over the sample which the next one would have.
-        (0.9, True, 0, [(100, 100), (100.4, None)], (1, 0)),
-    ],
-)
+@each("speed, times, overflow, syncs, counted", [
+    # Between two places, nearer to the next; the next one is not at its place either.
+    (0.9, False, 20, [(100, 100), (100.84, None), (101, 101), (102.16, 102)], (13, 1)),
+    # It comes just before two periods without one are over: the sample that waited is of either.
+    *((speed, True, 0, [(100.99, 101)], (1, 2)) for speed in (0.3, 0.9, 3.3)),
+    # An extra one takes over the sample which the next one would have.
+    (0.9, True, 0, [(100, 100), (100.4, None)], (1, 0)),
+])  # fmt: skip
 def test_the_position_goes_on_behind_disturbed_syncs(
     speed: float, times: bool, overflow: int, syncs: list[tuple[float, int | None]], counted: tuple[int, int]
 ) -> None:

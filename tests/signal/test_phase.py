@@ -18,6 +18,7 @@ from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.stream import process, process_stream
 from canfb.signal.tracker import track
+from folding import each
 
 values = st.floats(-1e300, 1e300, allow_subnormal=False) | st.sampled_from([math.nan, math.inf, -0.0])
 counts = st.integers(-32768, 32767)
@@ -48,13 +49,10 @@ def test_a_common_amplitude_error_has_no_influence(sine: int, cosine: int, facto
         assert phase_in_cycle(sine * factor, cosine * factor) == phase_in_cycle(sine, cosine)
 
 
-@pytest.mark.parametrize(
-    ("sine", "cosine", "phase"),
-    [
-        (0, 5, 0.0), (1, 8, 1 / 64), (5, 5, 0.125), (5, 0, 0.25), (5, -5, 0.375), (0, -5, 0.5),
-        (-5, -5, 0.625), (-5, 0, 0.75), (-5, 5, 0.875), (-1, 8, 1 - 1 / 64), (8, -1, 0.25 + 1 / 64),
-    ],
-)  # fmt: skip
+@each("sine, cosine, phase", [
+    (0, 5, 0.0), (1, 8, 1 / 64), (5, 5, 0.125), (5, 0, 0.25), (5, -5, 0.375), (0, -5, 0.5),
+    (-5, -5, 0.625), (-5, 0, 0.75), (-5, 5, 0.875), (-1, 8, 1 - 1 / 64), (8, -1, 0.25 + 1 / 64),
+])  # fmt: skip
 def test_table_1_at_its_corners(sine: int, cosine: int, phase: float) -> None:
     assert phase_in_cycle(sine, cosine) == phase
 
@@ -114,19 +112,16 @@ def test_what_are_no_tracks_is_refused_in_one_line(
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("sine", "cosine"),
-    [
-        (np.full(500, 900), np.full(500, 700)),  # at standstill in the first quadrant
-        (np.sin(np.linspace(0.05, 1.5, 500)) * 1500, np.cos(np.linspace(0.05, 1.5, 500)) * 1500),  # slowly
-        (np.zeros(500), np.zeros(500)),  # dead
-        (np.random.default_rng(1).normal(0, 0.01, 500), np.random.default_rng(2).normal(0, 0.01, 500)),
-        (SINE.astype(np.int16), COSINE.astype(np.int16)),
-        (np.sin(ANGLE[:10]), np.cos(ANGLE[:10])),  # too few to judge
-        (np.full(500, np.nan), np.full(500, np.nan)),
-        (np.rint(900 + np.random.default_rng(3).normal(0, 3, 500)), np.full(500, 700.0)),
-    ],
-)
+@each("sine, cosine", [
+    (np.full(500, 900), np.full(500, 700)),  # at standstill in the first quadrant
+    (np.sin(np.linspace(0.05, 1.5, 500)) * 1500, np.cos(np.linspace(0.05, 1.5, 500)) * 1500),  # slowly
+    (np.zeros(500), np.zeros(500)),  # dead
+    (np.random.default_rng(1).normal(0, 0.01, 500), np.random.default_rng(2).normal(0, 0.01, 500)),
+    (SINE.astype(np.int16), COSINE.astype(np.int16)),
+    (np.sin(ANGLE[:10]), np.cos(ANGLE[:10])),  # too few to judge
+    (np.full(500, np.nan), np.full(500, np.nan)),
+    (np.rint(900 + np.random.default_rng(3).normal(0, 3, 500)), np.full(500, 700.0)),
+])  # fmt: skip
 def test_what_may_be_tracks_is_taken(sine: np.ndarray, cosine: np.ndarray) -> None:
     assert len(process(sine, cosine, speed_cycles=0.0).ok) == len(sine)
     (result,) = process_stream([(sine, cosine)], speed_cycles=0.0)
@@ -159,17 +154,14 @@ def test_a_configuration_that_is_none_is_refused(config: object) -> None:
         process_stream([], config)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    "run",
-    [
-        lambda: track(np.array([0.5 + 0j])),
-        lambda: phase_in_cycle(SINE.astype(complex), COSINE),
-        lambda: phase_in_cycle(np.complex128(1j), 1.0),
-        lambda: CorrectionTable(np.arange(64) / 64 + 0j),
-        lambda: CorrectionTable.identity()(np.array([0.5 + 0j])),
-        lambda: CorrectionTable.identity()(np.complex64(0.5)),
-    ],
-)
+@each("run", [
+    lambda: track(np.array([0.5 + 0j])),
+    lambda: phase_in_cycle(SINE.astype(complex), COSINE),
+    lambda: phase_in_cycle(np.complex128(1j), 1.0),
+    lambda: CorrectionTable(np.arange(64) / 64 + 0j),
+    lambda: CorrectionTable.identity()(np.array([0.5 + 0j])),
+    lambda: CorrectionTable.identity()(np.complex64(0.5)),
+])  # fmt: skip
 def test_complex_numbers_are_refused(run: Callable[[], object]) -> None:
     with pytest.raises(ValueError, match="real numbers"):
         run()
