@@ -6,6 +6,7 @@ import contextlib
 import errno
 import itertools
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -60,6 +61,18 @@ def test_a_second_store_is_refused_until_the_first_is_closed_or_its_process_has_
         StateFiles(folder)
     store.close()
     StateFiles(folder).close()
+
+
+def test_a_folder_that_was_made_again_belongs_to_who_takes_it_first(folder: Path) -> None:
+    with StateFiles(folder) as store:
+        shutil.rmtree(folder)
+        folder.mkdir()
+        store.save(OLD)
+        with StateFiles(folder) as other:
+            with pytest.raises(OSError, match="another process has taken it"):
+                store.save(NEW)
+            other.save(ONE)
+            assert store.load() == OLD | ONE
 
 
 def test_a_file_or_folder_in_its_place_is_a_clear_error(tmp_path: Path) -> None:
@@ -164,6 +177,9 @@ class File:
 
 class FakeDisk:
     """One folder in memory. A power failure leaves what `after` makes of it."""
+
+    path = os.path
+    stat = fstat = lambda disk, place: os.stat_result([0] * 10)  # always the same file
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -84,6 +84,9 @@ class StateFiles(contextlib.AbstractContextManager["StateFiles"]):
 
     def save(self, changes: Changes) -> None:
         """Store all of ``changes`` (None: delete), or with an OSError none."""
+        with contextlib.suppress(FileNotFoundError):  # deleted with its folder: no other process has a lock
+            if not os.path.samestat(os.fstat(self._lock), os.stat(self.folder / LOCK)):
+                raise OSError(errno.EBUSY, "another process has taken it")
         try:
             self._finish(self._pending())
         except OSError as error:
@@ -255,7 +258,7 @@ class SavedParameters(StateFiles):
         before = super().load()
         for _ in range(_MOST_READINGS):
             again = super().load()
-            if _comparable(again) == _comparable(before):
+            if str(again) == str(before):  # as objects two errors are never equal
                 break
             before = again
         return before
@@ -263,8 +266,3 @@ class SavedParameters(StateFiles):
     def save(self, changes: Changes) -> None:
         """OSError: read-only."""
         raise OSError(errno.EROFS, f"{self.folder} is open for reading only")
-
-
-def _comparable(kept: Mapping[ParameterGroup, bytes | OSError]) -> dict[ParameterGroup, str]:
-    """Texts to compare two readings, because two error objects are never equal."""
-    return {group: str(image) for group, image in kept.items()}
