@@ -11,10 +11,12 @@ import can
 import numpy as np
 import pytest
 
+from canfb.cia301.frame import Frame
 from canfb.cli.commands import build_parser
 from canfb.cli.simulate import chosen
 from canfb.configuration import Config, load_config, parse_config
 from canfb.errors import ConfigError
+from canfb.hosting.simulating import Simulating
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.plant import DriveConfig
@@ -168,6 +170,19 @@ MOVE = """
 modules: [{{node_id: 32, times: true, samples_per_sync: {per_sync}, autostart: true}}]
 simulation: {{sync_jitter_us: 50, motion: {{standstill_s: 0.1, ramp_s: 0.13, rpm: 3000}}}}
 """
+
+
+def test_another_node_with_the_node_id_of_one_of_them_is_named(caplog: pytest.LogCaptureFixture) -> None:
+    config = parsed("{}")
+    simulating = Simulating(config.simulation, config.modules[0], Play(), {}, config.realtime)
+    for device in simulating.network.devices:
+        device.start(0.0)
+        for can_id in (0x710, 0x720, 0x730):
+            device.receive(Frame(can_id, b"\5"), 0.0)
+    assert caplog.messages == [
+        f"{name}: another node on the bus uses this node-ID ({can_id}h)"
+        for name, can_id in (("encoder interface 16 (10h)", 710), ("drive 48 (30h)", 730))
+    ]
 
 
 def network_of(config: Config) -> SimulatedNetwork:

@@ -64,7 +64,6 @@ class Computation:
         self._kill()
         for process in self._killed:
             process.wait()
-        self._killed = []
 
     def _kill(self) -> None:
         process, self._process = self._process, None

@@ -16,7 +16,6 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import can
@@ -47,7 +46,7 @@ _new = tuple.__new__
 class DeviceFailure(CanfbError):
     """A program error in ``device``."""
 
-    def __init__(self, device: object, error: Exception) -> None:
+    def __init__(self, device: Any, error: Exception) -> None:
         self.device = device
         super().__init__(f"program error: {_in_one_line(error)}")
 
@@ -283,10 +282,7 @@ def _in_one_line(error: Exception) -> str:
 
 @contextlib.contextmanager
 def on_signals(call: Callable[[], None], numbers: Iterable[int]) -> Iterator[None]:
-    def handle(number: int, frame: FrameType | None) -> None:
-        call()
-
-    before = {number: signal.signal(number, handle) for number in numbers}
+    before = {number: signal.signal(number, lambda *signalled: call()) for number in numbers}
     try:
         yield
     finally:

@@ -93,6 +93,12 @@ def duplicates_of(device: NodeDevice) -> str:
     return f"; {duplicates} frames of another node with this node-ID" if duplicates else ""
 
 
+def warn_of_another(device: NodeDevice, title: Callable[[NodeDevice], str]) -> None:
+    device.on_duplicate = lambda can_id, now: log.warning(
+        f"{title(device)}: another node on the bus uses this node-ID ({can_id:03X}h)"
+    )
+
+
 def _serial_number(device: NodeDevice) -> int:
     return int(device.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER).value)
 
@@ -121,8 +127,10 @@ def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:
 def summary_of(module: FeedbackModule) -> str:
     entry = module.dictionary.entry
     counts = ", ".join(f"{od.COUNTERS[place]} {entry(*place).value}" for place in SUMMED_UP)
-    samples = module.dictionary.entry(*od.FEEDBACK_SAMPLES).current()
-    return f"{short_title_of(module)}: {samples} samples; {counts}{duplicates_of(module)}"
+    return (
+        f"{short_title_of(module)}: {entry(*od.FEEDBACK_SAMPLES).current()} samples; {counts}"
+        f"{duplicates_of(module)}"
+    )
 
 
 log = logging.getLogger(__name__)

@@ -27,6 +27,7 @@ from canfb.hosting.event_log import (
     speeds_of,
     summary_of,
     title_of,
+    warn_of_another,
     what_is_saved,
 )
 from canfb.hosting.self_diagnosis import SelfDiagnosis
@@ -97,9 +98,10 @@ class Hosting(OnBus):
         self.config = config
         self._events = EventLog(verbose)
         self._looked_s = 0.0
-        folders = [Path(one.state_dir) for _, _, one in config.nodes if one.state_dir is not None]
-        folder = folders[0] if folders else Path(tempfile.gettempdir())
-        self.diagnosis = SelfDiagnosis(config, self.words, self._entered, folder)
+        kept = (one.state_dir for _, _, one in config.nodes if one.state_dir is not None)
+        self.diagnosis = SelfDiagnosis(
+            config, self.words, self._entered, folder=Path(next(kept, tempfile.gettempdir()))
+        )
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         resources.enter_context(self.diagnosis.keeping_the_log())
@@ -163,8 +165,9 @@ class Hosting(OnBus):
         try:
             runner.run(ready=on_the_bus)
         except DeviceFailure as failure:
-            (failed,) = (device for device in self._nodes if device is failure.device)
-            raise CanfbError(f"{title_of(failed)}: {failure}; all nodes of the process end") from failure
+            raise CanfbError(
+                f"{title_of(failure.device)}: {failure}; all nodes of the process end"
+            ) from failure
         finally:
             self._events.close(max(self._looked_s, *(device.now for device in self._nodes)))
             for line in self._at_end():
@@ -212,9 +215,7 @@ def warn_about(device: FeedbackModule | EncoderInterface, state_dir: str | None)
             )
 
     device.on_parameter_faults = report_faults
-    device.on_duplicate = lambda can_id, now: log.warning(
-        f"{title_of(device)}: another node on the bus uses this node-ID ({can_id:03X}h)"
-    )
+    warn_of_another(device, title_of)
     device.on_source = lambda text: log.warning(f"node {device.node_id}: {text}")
 
 

@@ -12,6 +12,7 @@ from canfb.bus.opening import describe
 from canfb.cia301.codes import NmtState
 from canfb.configuration import RealtimeConfig
 from canfb.device.node import Device
+from canfb.hosting.event_log import name_of, warn_of_another
 from canfb.hosting.serving import OnBus
 from canfb.module.module_config import ModuleConfig
 from canfb.simulation.scenario import SimulationConfig
@@ -35,10 +36,9 @@ class Simulating(OnBus):
         super().__init__(words, realtime)
         self.network: SimulatedNetwork = set_up(simulation, module, play, log.warning)
         self._intervals = math.inf if seconds is None else seconds * self.network.rate_hz
-        self._node = f"{module.encoder_interface} ({module.encoder_interface:02X}h)"
-        self.network.interface.on_duplicate = lambda can_id, now: log.warning(
-            f"encoder interface {self._node}: another node on the bus uses this node-ID ({can_id:03X}h)"
-        )
+        warn_of_another(self.network.interface, lambda node: f"encoder interface {name_of(node)}")
+        if self.network.drive is not None:
+            warn_of_another(self.network.drive, lambda node: f"drive {name_of(node)}")
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         return list(self.network.devices)
@@ -49,7 +49,7 @@ class Simulating(OnBus):
 
         def on_the_bus() -> None:
             log.info(
-                f"encoder interface: node {self._node} on {describe(self.words)}"
+                f"encoder interface: node {name_of(network.interface)} on {describe(self.words)}"
                 f"{', waits for NMT start (--autostart)' * (network.interface.state != NmtState.OPERATIONAL)}"
                 "; end with Ctrl-C"
             )
