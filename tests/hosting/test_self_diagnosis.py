@@ -42,14 +42,24 @@ def served(serving: Hosting, folder: Path, ask: Callable[[], None]) -> dict[str,
     return found
 
 
-def test_nodes_write_all_they_know_on_a_signal(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("ending", [False, True])
+def test_nodes_write_all_they_know_on_a_signal(
+    ending: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level(logging.INFO, "canfb")
     text = (
         f"{BUS}modules: [{{node_id: 32, state_dir: {tmp_path}, residual_limit: 0.25}}]\n"
         "interfaces: [{node_id: 16, source: {kind: motion}}]\n"
     )
     hosting = Hosting(parse_config(text), {"interface": "virtual", "channel": "diagnosis"})
-    found = served(hosting, tmp_path, lambda: signal.raise_signal(signal.SIGUSR1))
+
+    def ask() -> None:
+        signal.raise_signal(signal.SIGUSR1)
+        if ending:
+            hosting.stop()
+
+    found = served(hosting, tmp_path, ask)
+    assert caplog.messages.count(f"diagnosis written: {tmp_path}/canfb-diagnose-{os.getpid()}.json") == 1
     assert " ".join(found) == "canfb_diagnosis made made_by versions configuration bus nodes log"
     assert {"canfb", "python-can", "canopen", "numpy", "PyYAML"} <= set(found["versions"]["packages"])
     assert found["configuration"]["modules"][0]["residual_limit"] == 0.25
@@ -78,12 +88,9 @@ class Stepped:
 
     def steps(self) -> int:
         """Steps until it is being written."""
-        count = 0
-        while self.diagnosis._writing is None:
-            self.diagnosis.step(self.nodes)
-            count += 1
-        self.diagnosis._writing.join()
         self.diagnosis.step(self.nodes)
+        count = sum(thread is None for thread in self.diagnosis._working)
+        self.diagnosis.finish(self.nodes)
         return count
 
 

@@ -172,6 +172,7 @@ class Hosting(OnBus):
             self._events.close(max(self._looked_s, *(device.now for device in self._nodes)))
             for line in self._at_end():
                 log.info(line)
+            self.diagnosis.finish(self._nodes)
 
 
 def make_module(

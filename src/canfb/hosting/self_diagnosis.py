@@ -142,8 +142,7 @@ class SelfDiagnosis:
         self._config, self._words, self._runner, self._folder = config, words, runner, folder
         self._kept = KeptLines()
         self._requested = False
-        self._working: Iterator[None] = iter(())
-        self._writing: threading.Thread | None = None
+        self._working: Iterator[threading.Thread | None] = iter(())
 
     @contextlib.contextmanager
     def keeping_the_log(self) -> Iterator[None]:
@@ -154,30 +153,34 @@ class SelfDiagnosis:
             yield
         finally:
             logger.removeHandler(self._kept)
-            if self._writing is not None:
-                self._writing.join()
 
     def request(self) -> None:
         self._requested = True
 
     def step(self, nodes: Sequence[NodeDevice]) -> None:
         """Continue for at most half a millisecond."""
-        ended = next(self._working, True)
+        ended = next(self._working, True) is True
         if ended and self._requested:
             self._requested = False
             self._working = self._work(nodes)
 
-    def _work(self, nodes: Sequence[NodeDevice]) -> Iterator[None]:
+    def finish(self, nodes: Sequence[NodeDevice]) -> None:
+        """Write what was requested until the end."""
+        self.step(nodes)
+        for thread in self._working:
+            if thread is not None:
+                thread.join()
+
+    def _work(self, nodes: Sequence[NodeDevice]) -> Iterator[threading.Thread | None]:
+        # Gives the thread that writes, while it does.
         yield from self._collect(nodes)
-        thread = self._writing = threading.Thread(
+        thread = threading.Thread(
             target=self._write, args=(self._runner().counters,), name="canfb-diagnose", daemon=True
         )
         with small_stack():
             thread.start()
-        yield
         while thread.is_alive():
-            yield
-        self._writing = None
+            yield thread
         log.info(self._outcome)
 
     def _collect(self, nodes: Sequence[NodeDevice]) -> Iterator[None]:
