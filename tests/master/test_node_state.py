@@ -171,8 +171,10 @@ CASES: list[tuple[Callable[[], Bench], tuple[str, ...], str]] = [
 def test_what_is_said_of_a_reset(
     canfb: Commands, made: Callable[[], Bench], options: tuple[str, ...], words: str
 ) -> None:
-    succeeds = words in ("position valid", "machine not looked at")
-    assert words in "".join(canfb(made(), "node", "reset", NODE, *options, code=0 if succeeds else 1))
+    succeeds, bench = words in ("position valid", "machine not looked at"), made()
+    frames = heard(bench)
+    assert words in "".join(canfb(bench, "node", "reset", NODE, *options, code=0 if succeeds else 1))
+    assert sum(frame.can_id == 0x600 + MODULE_ID for frame in frames) < 5000, "a slow SYNC is not hurried"
 
 
 def test_a_position_that_is_lost_again_at_once_is_told(canfb: Commands) -> None:

@@ -300,14 +300,12 @@ def nmt_state(node: NodeAccess) -> NmtState:
     """The NMT state by heartbeat (1017h), guarding (100Ch) or remote frame; CommissioningError if unknown."""
     heartbeat_s = node.integer(*HEARTBEAT_TIME, "H") / 1000
     with received(node.master, cob.ERROR_CONTROL + node.node_id) as heard:
-        if heartbeat_s:
-            _wait_until(node.master, LATE * heartbeat_s, lambda: heard)
-        else:
-            _wait_until(node.master, LATE * node.integer(*GUARD_TIME, "H") / 1000, lambda: heard)
-            for _ in range(ASKED):
-                if not heard:
-                    node.master.send(cob.ERROR_CONTROL + node.node_id, b"", remote=True)
-                    _wait_until(node.master, ANSWER_S, lambda: heard)
+        period_s = heartbeat_s or node.integer(*GUARD_TIME, "H") / 1000
+        _wait_until(node.master, LATE * period_s, lambda: heard)
+        for _ in range(0 if heartbeat_s else ASKED):
+            if not heard:
+                node.master.send(cob.ERROR_CONTROL + node.node_id, b"", remote=True)
+                _wait_until(node.master, ANSWER_S, lambda: heard)
     states = [state for data in heard if (state := state_in(data)) is not None]
     if states:
         return states[-1]
@@ -370,15 +368,17 @@ def watch_standstill(module: NodeAccess, progress: Progress) -> MachineLook:
     least = LEAST_SAMPLES if known else STILL_SAMPLES  # with a lost position only the phase can show motion
     newest = Unchanged(module.master, 0)
     while len(seen) < least and newest.seconds(len(seen)) < PATIENCE_S:
-        status = module.integer(*od.FEEDBACK_STATUS, "H")
         number = module.integer(*od.FEEDBACK_SAMPLES, "I")
-        phase = module.integer(*od.FEEDBACK_RAW_PHASE, "H") / UNITS
-        if status & od.StatusBit.VALID:
-            counts.append(module.integer(*od.FEEDBACK_CYCLE_COUNT, "q"))
-        if not status & od.StatusBit.MISSED:
-            seen[number] = phase
+        if number not in seen:
+            status = module.integer(*od.FEEDBACK_STATUS, "H")
+            phase = module.integer(*od.FEEDBACK_RAW_PHASE, "H") / UNITS
+            if status & od.StatusBit.VALID:
+                counts.append(module.integer(*od.FEEDBACK_CYCLE_COUNT, "q"))
+            if not status & od.StatusBit.MISSED:
+                seen[number] = phase
         progress(len(seen) / least)
-        module.master.wait(STEP_S)
+        # A slow SYNC is not asked for more often than it brings something.
+        module.master.wait(max(STEP_S, newest.seconds(len(seen)) / 2.0))
     if len(seen) < least:
         raise CommissioningError(
             f"{module.name}: {len(seen)} samples, then none for {PATIENCE_S:g} s, so it cannot be seen "
