@@ -92,8 +92,7 @@ class FeedbackModule(NodeDevice):
             self._calibrating.reset,
         )
         self._lock = WriteLock(self)
-        for reset in self._resets:
-            reset()
+        self._limits.reset()  # alarms and restored values need them before the first start
 
     @property
     def events(self) -> EventWatch:
