@@ -237,11 +237,10 @@ def test_socketcan_has_a_raw_socket_and_python_can_opens_what_is_more_than_that(
         assert opened[-1] == found
 
 
-@pytest.mark.parametrize(
-    ("more", "match"),
-    [({"python_can": value}, "python_can in bus must be true or false, not") for value in ("yes", 1, 0)]
-    + [({"receive_own_messages": True}, "receive_own_messages: omit it")],
-)
+@each("more, match", [
+    *(({"python_can": value}, "python_can in bus must be true or false, not") for value in ("yes", 1, 0)),
+    ({"receive_own_messages": True}, "receive_own_messages: omit it"),
+])  # fmt: skip
 def test_words_that_no_device_can_have(more: dict[str, Any], match: str) -> None:
     with pytest.raises(ConfigError, match=match):
         open_device_bus(CAN0 | more)

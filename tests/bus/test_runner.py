@@ -25,6 +25,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from drawing import examples
 from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
+from folding import each
 
 WALL_S = 1.8e9  # the time of day minus the clock of the runner
 BROKEN = can.CanOperationError("the cable is off", 5)
@@ -367,17 +368,14 @@ BUS_OFF = message(ERROR_BUS_OFF | 0x200, bytes(8), is_error_frame=True)
 ASKED = [Frame(0x620, b"\x40\x00\x10\x00\0\0\0\0")]
 
 
-@pytest.mark.parametrize(
-    ("plan", "heard", "until_s"),
-    [
-        ([(0.03, message(0x720, b"\x05")), (0.04, message(0x5A0))], 0x720, 0.03),
-        ([(0.05, message(0x5A0, b"\x43"))], 0x5A0, 0.05),
-        ([(0.01, message(0x721, b"\x05")), (0.02, message(0x1A0)), (0.15, message(0x720))], None, 0.1),
-        ([(0.02, BROKEN), (0.03, message(0x720, b"\x05"))], None, 0.02),
-        ([(0.01, BUS_OFF)], None, 0.1),
-        ([], None, 0.1),
-    ],
-)
+@each("plan, heard, until_s", [
+    ([(0.03, message(0x720, b"\x05")), (0.04, message(0x5A0))], 0x720, 0.03),
+    ([(0.05, message(0x5A0, b"\x43"))], 0x5A0, 0.05),
+    ([(0.01, message(0x721, b"\x05")), (0.02, message(0x1A0)), (0.15, message(0x720))], None, 0.1),
+    ([(0.02, BROKEN), (0.03, message(0x720, b"\x05"))], None, 0.02),
+    ([(0.01, BUS_OFF)], None, 0.1),
+    ([], None, 0.1),
+])  # fmt: skip
 def test_other_nodes_are_heard_before_the_devices_start(
     plan: list[tuple[float, can.Message | Exception]], heard: int | None, until_s: float
 ) -> None:

@@ -15,6 +15,7 @@ from canfb.cli import commands as table
 from canfb.cli.aliases import current
 from canfb.cli.commands import COMMANDS, EXAMPLES, build_parser, named_command
 from commands import Command
+from folding import each
 from processes import python
 
 
@@ -57,17 +58,10 @@ def test_the_file_of_a_command_imports_that_of_no_other() -> None:
     assert loaded == {name: {file} for name, (file, _) in COMMANDS.items()}
 
 
-@pytest.mark.parametrize(
-    ("line", "name"),
-    [
-        ("", ""),
-        ("--help", ""),
-        ("run x.yaml", "run"),
-        ("--debug run x.yaml", "run"),
-        ("-- run", "run"),
-        ("demo --out run", "demo"),
-    ],
-)
+@each("line, name", [
+    ("", ""), ("--help", ""), ("run x.yaml", "run"), ("--debug run x.yaml", "run"), ("-- run", "run"),
+    ("demo --out run", "demo"),
+])  # fmt: skip
 def test_the_command_of_a_line(line: str, name: str) -> None:
     assert named_command(line.split()) == name
 
