@@ -54,10 +54,13 @@ def writing(path: Path, option: str = "") -> contextlib.AbstractContextManager[N
     return saying(CanfbError, f"{option} {path}".strip() + ": cannot be written", OSError)
 
 
-def prepare_folder(folder: Path) -> None:
-    """CanfbError where no file can be made in it."""
+def prepare_folder(folder: Path, *kept: str) -> None:
+    """CanfbError where no file can be made in it; ConfigError with one of ``kept`` in it."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
+        for name in kept:
+            if (folder / name).exists():
+                raise ConfigError(f"--out {folder}: has {name} of another measurement: give another folder")
         tempfile.TemporaryFile(dir=folder).close()
 
 

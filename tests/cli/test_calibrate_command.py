@@ -106,6 +106,9 @@ def test_drift_of_a_file_against_a_table_of_a_file(npz: str, tmp_path: Path, com
     out = tmp_path / "today"
     found = command(check, moved, "--out", out).json
     assert [path.name for path in out.iterdir()] == ["samples.npz"]
+    assert "has table.yaml of another measurement" in command(check, npz, "--out", tmp_path, code=2).err
+    (out / "speeds").mkdir()
+    assert "has speeds of another" in command(f"calibrate --samples {npz} --out", out, code=2).err
     want = 10 / ENCODER.amplitude_counts / (2 * np.pi * np.sqrt(2))
     assert found["drift_rms_cycles"] == pytest.approx(want, rel=0.1)
     assert found["drift_seen"]

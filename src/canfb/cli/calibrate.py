@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
+from canfb.calibrate.artefacts import SPEEDS, TABLE_YAML
 from canfb.calibrate.calibration_run import CalibrationRun
 from canfb.calibrate.choices import (
     IDLE,
@@ -181,7 +182,9 @@ def calibrate(options: argparse.Namespace) -> int:
     choices = choices_of(options)
     config = named_config(options)
     if choices.out:
-        prepare_folder(choices.out)
+        # Beside new samples they would pass for theirs.
+        kept = [TABLE_YAML] * choices.check + [SPEEDS] * (choices.speeds is None)
+        prepare_folder(choices.out, *kept)
     with shown_progress(quiet=options.json, interrupted="nothing more is written to the module") as progress:
         if choices.samples:
             return measured(

@@ -165,7 +165,7 @@ class SelfDiagnosis:
             self._working = self._work(nodes)
 
     def finish(self, nodes: Sequence[NodeDevice]) -> None:
-        """Write what was requested until the end."""
+        """Write what was requested."""
         self.step(nodes)
         for thread in self._working:
             if thread is not None:
