@@ -7,9 +7,9 @@ detection by the residual (eq. 12).
 
 from __future__ import annotations
 
-import logging
 from importlib import import_module
-from typing import TYPE_CHECKING
+
+TYPE_CHECKING = False  # as in typing, which takes longer to load than all else here
 
 if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__ does it
     from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
@@ -97,8 +97,6 @@ _PLACES = {
     "signal.stream": ("ChainResult", "process", "process_stream"),
     "signal.tracker": ("Track", "Tracker", "TrackResult", "track"),
 }
-
-logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
 def __getattr__(name: str) -> object:

@@ -121,8 +121,9 @@ def test_ctrl_c_before_the_bus_is_open_is_exit_code_130_without_a_traceback(
     assert command("run", config, code=130).err == ""
 
 
-def test_so_it_is_while_the_command_line_is_loaded() -> None:
-    interrupts = "import sys\ndef interrupts(event, words):\n if words[:1] == ('canfb.cli.options',):\n"
+@pytest.mark.parametrize("name", ["logging", "canfb.cli.command_line", "canfb.cli.options"])
+def test_so_it_is_while_the_command_line_is_loaded(name: str) -> None:
+    interrupts = f"import sys\ndef interrupts(event, words):\n if words[:1] == ({name!r},):\n"
     interrupts += "  raise KeyboardInterrupt\nsys.addaudithook(interrupts)\n"
     done = python("-c", f"{interrupts}from canfb.cli.main import main\nsys.exit(main(['--help']))")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

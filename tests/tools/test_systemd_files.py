@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from canfb.cli.command_line import FAILED
 from canfb.cli.commands import WRONG_USE
-from canfb.cli.main import FAILED
 from documentation import ROOT, blocks, page
 
 FOLDER = ROOT / "tools" / "systemd"

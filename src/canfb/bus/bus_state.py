@@ -144,5 +144,4 @@ def is_down(error: Exception) -> bool:
 
 
 def code_of(error: Exception) -> int | None:
-    code: int | None = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
-    return code
+    return error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
