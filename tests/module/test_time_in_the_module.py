@@ -633,6 +633,7 @@ def test_the_speeds_at_the_start_are_those_of_the_page() -> None:
     assert words().endswith("200 rpm at ±10 µs, 20 rpm at ±100 µs")
     assert words(max_acceleration_rad_s2=0.25).endswith("30 rpm at ±10 µs, 3 rpm at ±100 µs")  # L - a is 4 e
     assert words(times=True) == words(samples_per_sync=2) == ""
+    assert turning(60.0, 0.0, 500)[1].max_speed_rad_s == math.inf, "the rounding of times is no jitter"
 
 
 def creeping(speed: float) -> Motion:

@@ -17,6 +17,7 @@ PEAK = 2.5  # peak over mean deviation of SYNC: 2 for a uniform distribution, 3.
 NEAR, AWAY = 0.7, 0.5  # parts of the largest speed: above NEAR a warning, below AWAY it is armed again
 SHORTEST_S = 10.0  # time from one warning to the next
 EXAMPLES_US = (10, 100)
+LEAST_JITTER_S = 1e-8  # less is rounding: no clock of a bus is as fine
 
 
 class JitterWatch:
@@ -47,7 +48,7 @@ class JitterWatch:
     @property
     def max_speed_rad_s(self) -> float:
         """The largest speed for the measured jitter, rad/s; inf without, or with several samples per SYNC."""
-        limits = self.jitter_s > 0.0 and self._interval.samples_per_sync == 1
+        limits = self.jitter_s > LEAST_JITTER_S and self._interval.samples_per_sync == 1
         return self._max_speed(self.jitter_s) if limits else math.inf
 
     def _max_speed(self, jitter_s: float) -> float:
