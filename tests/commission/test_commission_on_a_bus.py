@@ -161,15 +161,12 @@ def write_another(bench: Bench, guard: Guard) -> None:
 IN_FORCE_AGAIN = r"; the limits from before are in force in module 32 \(20h\)"
 
 
-@pytest.mark.parametrize(
-    ("act", "error", "words"),
-    [
-        (weaken, CommissioningError, f"flags samples with the new limits .* amplitude.*{IN_FORCE_AGAIN}"),
-        (fail, CommissioningError, f"the bus fails: cable{IN_FORCE_AGAIN}"),
-        (lambda bench, guard: guard.interrupt(), KeyboardInterrupt, None),
-        (write_another, CommissioningError, f"2010:02 reads 7, not .* as written{IN_FORCE_AGAIN}"),
-    ],
-)
+@each("act, error, words", [
+    (weaken, CommissioningError, f"flags samples with the new limits .* amplitude.*{IN_FORCE_AGAIN}"),
+    (fail, CommissioningError, f"the bus fails: cable{IN_FORCE_AGAIN}"),
+    (lambda bench, guard: guard.interrupt(), KeyboardInterrupt, None),
+    (write_another, CommissioningError, f"2010:02 reads 7, not .* as written{IN_FORCE_AGAIN}"),
+])  # fmt: skip
 def test_what_happens_while_the_new_limits_are_watched_undoes_all(
     act: Callable[[Bench, Guard], None], error: type[BaseException], words: str | None
 ) -> None:
@@ -213,18 +210,15 @@ def spoil_the_speed(bench: Bench) -> None:
     between(bench, lambda frame: [answer] if frame.data[:4] == b"\x40\x11\x20\x07" else None)
 
 
-@pytest.mark.parametrize(
-    ("options", "spoil", "words"),
-    [
-        ({"table": False}, None, r"no correction table is active.*run canfb calibrate first"),
-        ({"motion": Motion(())}, None, "the machine stands still: nothing can be said of its acceler"),
-        ({"motion": FAR_TOO_FAST}, None, "the position is lost"),
-        ({}, lose, r"the position is lost \(2011:01\)"),
-        ({}, spoil_the_limit, "2010:02, largest acceleration, is nan"),
-        ({}, spoil_the_speed, r"its speed \(2011:07\) is nan"),
-        ({"operational": False}, None, r"no valid position \(2011:01 is .*NMT start"),
-    ],
-)
+@each("options, spoil, words", [
+    ({"table": False}, None, r"no correction table is active.*run canfb calibrate first"),
+    ({"motion": Motion(())}, None, "the machine stands still: nothing can be said of its acceler"),
+    ({"motion": FAR_TOO_FAST}, None, "the position is lost"),
+    ({}, lose, r"the position is lost \(2011:01\)"),
+    ({}, spoil_the_limit, "2010:02, largest acceleration, is nan"),
+    ({}, spoil_the_speed, r"its speed \(2011:07\) is nan"),
+    ({"operational": False}, None, r"no valid position \(2011:01 is .*NMT start"),
+])  # fmt: skip
 def test_what_cannot_be_commissioned_is_refused_in_one_line(
     options: dict[str, Any], spoil: Callable[[Bench], None] | None, words: str
 ) -> None:

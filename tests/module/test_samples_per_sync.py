@@ -80,13 +80,10 @@ def followed(bus: Bus, syncs: int) -> list[tuple[Feedback, float]]:
     return [(got, away(bus, got)) for _ in range(syncs) if (got := bus.sync()) and got.samples > 3]
 
 
-@pytest.mark.parametrize(
-    ("jitter_s", "per_sync", "residual"),
-    [
-        *((jitter_s, *case) for jitter_s in (0.0, 5e-5) for case in [(4, 0.204), (5, 0.134), (7, 0.073)]),
-        (0.0, 8, 0.049),  # 7850 rad/s^2 at 8 kHz; the PDOs have no room for a time
-    ],
-)
+@each("jitter_s, per_sync, residual", [
+    *((jitter_s, *case) for jitter_s in (0.0, 5e-5) for case in [(4, 0.204), (5, 0.134), (7, 0.073)]),
+    (0.0, 8, 0.049),  # 7850 rad/s^2 at 8 kHz; the PDOs have no room for a time
+])  # fmt: skip
 def test_a_servo_move_over_a_bus_with_jitter(per_sync: int, residual: float, jitter_s: float) -> None:
     bus = Bus(jitter_s, samples_per_sync=per_sync, times=per_sync < 8)
     largest, first = 0.0, None
