@@ -205,12 +205,19 @@ def few(n: int, one: TrackSamples) -> TrackSamples:
     return TrackSamples.of(one.sine[:n], one.cosine[:n], RATE_HZ, "few")
 
 
+def unheard(one: TrackSamples) -> TrackSamples:
+    heard = np.arange(len(one)) % 300 < 299
+    samples = TrackSamples.of(one.sine[heard], one.cosine[heard], RATE_HZ, "of a busy computer")
+    return replace(samples, received_s=np.flatnonzero(heard) / RATE_HZ)
+
+
 REFUSED: list[tuple[Changed, bool, str]] = [
     *((partial(few, n), True, f"{n} usable samples of {n} are too few") for n in (1, 1500)),
     (lambda one: one, False, "did not report its speed"),
     (lambda one: replace(one, rate_hz=None), True, "rate of the samples is not known"),
     (lambda one: replace(one, sine=np.nan * one.sine), True, "did not come"),
     (lambda one: TrackSamples.of(noise(1), noise(2), RATE_HZ, "noise"), True, "position is lost"),
+    (unheard, True, r"position is lost .* did not receive about \d+ SYNCs\)"),
     (lambda one: replace(one, sine=0.2 * one.sine, cosine=0.2 * one.cosine), True, "amplitude"),
     (lambda one: replace(one, sine=one.sine + np.linspace(0.0, 120.0, COUNT)), True, "the tracks change"),
 ]

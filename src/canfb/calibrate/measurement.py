@@ -194,8 +194,9 @@ def errors_at(
         late = path.low_pass.delay_cycles(hertz)
         mean_after = after.added_cycles(hertz) - late
         mean_before = before.added_cycles(hertz) - late + _mean(old[both] - new[both]) if known else None
-        rms_before = deviation.before_rms if known else None
-        return ErrorAtSpeed(hertz, rms_before, deviation.rms, mean_before, mean_after, deviation)
+        return ErrorAtSpeed(
+            hertz, deviation.before_rms if known else None, deviation.rms, mean_before, mean_after, deviation
+        )
 
 
 def _phases(samples: TrackSamples, used: InForce, speed_cycles: float) -> FloatArray:

@@ -224,12 +224,11 @@ def limit_rows(done: Commissioned) -> list[Row]:
 
 def detection_words(done: Commissioned) -> str:
     before, new = (done.without_harm(one) for one in (done.before, done.new))
-    bound = f"accelerations up to {done.largest_acceleration:.3g} cycle per interval²"
     return (
         f"Up to {new} bad samples in a row of any phase cannot falsify the cycle count unseen, {before} with "
         "the limits before; a single one is flagged if its phase is off by more than "
         f"{min(0.5, done.deviation(done.new)):.3g} cycle, {min(0.5, done.deviation(done.before)):.3g} before "
-        f"({bound})"
+        f"(accelerations up to {done.largest_acceleration:.3g} cycle per interval²)"
     )
 
 
@@ -291,8 +290,9 @@ def write_page(folder: Path, done: Commissioned) -> Path:
         + gallery("Pictures", _pictures(done))
         + table("Origin", origins(done.where), style="origin")
     )
-    text = page("Limits of the supervision", place_line(done.where), found.said, body, FOOTER)
-    write_whole(path, text.encode())
+    write_whole(
+        path, page("Limits of the supervision", place_line(done.where), found.said, body, FOOTER).encode()
+    )
     return path
 
 
