@@ -357,7 +357,7 @@ def _follow(
 
 
 def _missed_words(samples: TrackSamples, interval_s: float) -> str:
-    # What a busy computer did not receive, the module may have: its position is not lost by that.
+    # The module may have received what this computer, if busy, did not: its position is not lost then.
     steps = np.diff([] if samples.received_s is None else samples.received_s) / interval_s
     unheard = int((np.rint(steps) - 1.0).clip(0.0).sum())
     words = f"; {samples.missed} samples did not come" if samples.missed else ""

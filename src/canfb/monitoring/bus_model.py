@@ -23,7 +23,8 @@ from canfb.view.module_view import Pdo
 EMERGENCIES = 8  # number of EMCY that are remembered
 IN_FLIGHT_S = 0.1  # after an NMT command, PDOs that have waited for the bus may arrive for this long
 CAUSE_BYTE = 2  # index in the five bytes of EMCY 7300h: cause as in 2012:10, 0: not lost
-HEARD_STATES = {int(state): state for state in NmtState}
+# For the state in a frame 700h + id: the state of the node, and how it is known.
+HEARD = {int(one): (one, "heartbeat") for one in NmtState} | {0: (NmtState.PRE_OPERATIONAL, "boot-up")}
 COMMANDED = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
@@ -49,12 +50,10 @@ class NodeModel:
 
     def error_control(self, data: bytes) -> None:
         """Evaluate boot-up, heartbeat, guarding (CiA 301, 7.2.8.3.2)."""
-        state = HEARD_STATES.get(data[0] & 0x7F) if len(data) == 1 else None
-        if state is NmtState.INITIALISING:
-            self._boot_ups += 1
-            self._state, self._source = NmtState.PRE_OPERATIONAL, "boot-up"
-        elif state is not None:
-            self._state, self._source = state, "heartbeat"
+        heard = HEARD.get(data[0] & 0x7F) if len(data) == 1 else None
+        if heard is not None:
+            self._state, self._source = heard
+            self._boot_ups += self._source == "boot-up"
 
     def commanded(self, command: int, now: float) -> None:
         if command in COMMANDED:

@@ -130,8 +130,11 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
 
 
 def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[od.Multiplexer, str]) -> tuple[Pdo, ...]:
-    found = valid_pdos(read, parameters, mapping)
-    return tuple(pdo for pdo in found if known.keys() & pdo.values(bytes(pdo.length_bytes)).keys())
+    return tuple(
+        pdo
+        for pdo in valid_pdos(read, parameters, mapping)
+        if known.keys() & pdo.values(bytes(pdo.length_bytes)).keys()
+    )
 
 
 def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]:

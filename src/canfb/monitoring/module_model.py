@@ -12,6 +12,7 @@ from itertools import pairwise
 from canfb import objects as od
 from canfb.monitoring.layout import INPUTS, VALUES, NodeLayout, known_values
 from canfb.monitoring.snapshot import LoadSnapshot, ModuleSnapshot, SyncSnapshot
+from canfb.signal.residual_noise import REFERENCE_BLOCKS
 from canfb.timing.syncs import Syncs
 from canfb.view.module_view import LIMIT_UNITS, Number, Pdo
 
@@ -130,6 +131,7 @@ class ModuleModel:
         self.layout = layout
         self._values: dict[od.Multiplexer, Number] = {}
         self._times: dict[od.Multiplexer, float] = {}
+        self._noises: list[Number] = []
         self._history = Bins(HISTORY_BIN_S, HISTORY_BINS, max)
         self._tracks: deque[tuple[int, int]] = deque(maxlen=TRACKS)
         self._tracks_received = 0
@@ -161,6 +163,8 @@ class ModuleModel:
 
     def put(self, place: od.Multiplexer, value: Number, now: float) -> None:
         """Store a value of :data:`.VALUES`, from PDO or SDO."""
+        if place == od.FEEDBACK_NOISE and value != self._values.get(place):
+            self._noises = [*self._noises, value][-REFERENCE_BLOCKS:] if value else []
         self._values[place], self._times[place] = value, now
 
     def _count(self, status: int, now: float) -> None:
@@ -210,7 +214,10 @@ class ModuleModel:
             position_revolutions=units / per_revolution if units is not None and per_revolution else None,
             velocity_rad_s=velocity,
             residual_cycles=None if residual is None else residual / LIMIT_UNITS,
-            residual_limit_cycles=layout.supervision.limit_cycles(sync_hz, noise, velocity),
+            # As in the module by the largest of so many blocks; 2011:0B is that of the last one.
+            residual_limit_cycles=layout.supervision.limit_cycles(
+                sync_hz, max(self._noises, default=0) / LIMIT_UNITS or None, velocity
+            ),
             residual_noise_cycles=noise,
             residual_peak_cycles=max((one for one in history[-PEAK_BINS:] if one is not None), default=None),
             residual_history_cycles=history,

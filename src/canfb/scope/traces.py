@@ -77,8 +77,7 @@ class ModuleTraces:
     def _point(self, now: float, module: ModuleSnapshot) -> Point:
         known = not is_stale(module) and module.position_state in SHOWN
         position, velocity = module.position_revolutions, module.velocity_rad_s
-        faults, before = sum(module.seen.values()), self._faults
-        self._faults = faults
+        before, self._faults = self._faults, sum(module.seen.values())
         return (
             now,
             position * self._units.per_revolution if known and position is not None else None,
@@ -87,7 +86,7 @@ class ModuleTraces:
             module.residual_limit_cycles,
             None if is_stale(module) or module.amplitude_is_raw else module.amplitude_counts,
             math.hypot(*module.tracks_counts[-1]) if module.tracks_counts else None,
-            max(0, faults - before) if self.points else 0,
+            max(0, self._faults - before) if self.points else 0,
             int(not known),
         )
 
