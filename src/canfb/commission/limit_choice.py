@@ -351,8 +351,8 @@ def _follow(
         return start, followed
     raise CommissioningError(
         f"the position is lost in the samples ({in_words(followed.flagged) or 'none flagged'}"
-        f"{_missed_words(samples, interval_s)}): find the cause of flagged samples. Otherwise the machine accelerates "
-        "by more than the residual limit, or samples are lost: increase the SYNC rate"
+        f"{_missed_words(samples, interval_s)}): find the cause of flagged samples. Otherwise the machine "
+        "accelerates by more than the residual limit, or samples are lost: increase the SYNC rate"
     )
 
 
