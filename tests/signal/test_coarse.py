@@ -221,6 +221,21 @@ def test_samples_that_are_missing_leave_no_wrong_speed_of_a_start(seed: int) -> 
     assert not valid or np.ptp(valid) < 0.1
 
 
+@pytest.mark.parametrize("seed", [*range(10), 412, 586, 1053, 1950, 5498])
+def test_uneven_times_leave_no_wrong_speed_of_a_start(seed: int) -> None:
+    draw = random.Random(seed)
+    speed = wanted = draw.uniform(-3.5, 3.5)
+    machine, late, time, valid = Machine(coarse=0.0, cycles_per_revolution=400), 0.0, 0.0, []
+    for _ in range(100):
+        wanted = draw.uniform(-3.5, 3.5) if draw.random() < 0.02 else wanted
+        speed += max(-0.0175, min(0.0175, wanted - speed))
+        before, late = late, draw.uniform(-0.1, 0.1)
+        machine.speed, time = speed * (1.0 + late - before), time + 1.0 + late - before
+        got = machine.step(time_100ns=round(1e4 * time))
+        valid += [machine.error(got)] * got.valid
+    assert not valid or np.ptp(valid) < 0.1
+
+
 @each("outage, speed, every", [(4, 86.4, 1), (30, 86.4, 1), (500, 86.4, 1), (30, 5.3, 2), (30, 5.3, 3)])
 def test_a_lost_position_is_set_right_by_coarse_and_pulse(outage: int, speed: float, every: int) -> None:
     machine = moving(83.1, 300, position=1234.56, coarse=0.008, mark=0.0)

@@ -12,6 +12,7 @@ from witness_kit import Machine, flags, moving
 
 from canfb import Sample, Track
 from canfb.objects import LossCause, StatusBit
+from canfb.signal.limits import Declared
 from canfb.signal.supervision import COASTING, LOST, VALID
 from canfb.signal.witness.reference import Reference, pulse_between
 from canfb.signal.witness.witness import CoarseTrack, Pair
@@ -40,7 +41,7 @@ class Noted:
     """A recovery that notes what it is told."""
 
     def __init__(self, lost: bool) -> None:
-        self.lost = lost
+        self.lost, self.declared = lost, Declared()
         self.on_lost: Callable[[], None] = lambda: None
         self.on_speed: Callable[[], None] = lambda: None
         self.told: list[tuple[int, int]] = []

@@ -127,6 +127,8 @@ class Estimator:
     def found(self, cycles: int, step_cycles: int) -> None:
         # A witness corrects the cycle count, and the speed by whole cycles per interval.
         self.tracker.shift(cycles, step_cycles)
+        if step_cycles and not self.lost:
+            self._speeds.stop()  # they are relative to a count at the assumed speed
         if step_cycles or self._doubt is not None or self.lost:
             self._remember_tracker()
         else:

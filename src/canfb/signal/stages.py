@@ -292,6 +292,7 @@ class Stages:
         track, bits = estimator.good(phase, elapsed) if measured else estimator.bad(elapsed, missed=unplaced)
         if bits & LOST and (not measured or bits & RESIDUAL):
             reference.slipped()
+        reference.counted(elapsed)
         jump = 0
         self.clock += elapsed
         zero_pulse = sample.zero_pulse

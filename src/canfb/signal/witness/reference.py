@@ -68,8 +68,23 @@ class Reference:
         self.range_known = self._range_from_zero = self._speed_known = False
         self.coarse.disagreeing = 0
         self._first_pulse = None
+        self._shortest, self._longest = math.inf, 0.0  # sampling interval since then
         self._all_taken = True  # all samples between the last coarse track and this sample were used
         self.coarse.restart_search()
+
+    def counted(self, elapsed: float) -> None:
+        """A sample was taken this long after the one before."""
+        self._shortest, self._longest = min(self._shortest, elapsed), max(self._longest, elapsed)
+
+    def _is_certain(self, missing: int) -> bool:
+        """True if the intervals were even enough for eq. 9 to lack the same cycles in each of them.
+
+        An interval longer by d adds ``missing`` d to the second difference, which with acceleration and phase
+        errors must stay below half a cycle.
+        """
+        motion = self.estimator.declared.in_doubt
+        spare = max(0.0, 0.5 - motion.largest - 4.0 * motion.phase_error)
+        return abs(missing) * max(0.0, self._longest - self._shortest) <= spare
 
     def passed(self, taken: bool) -> None:
         """Note a sample without a coarse track; ``taken``: it was used."""
@@ -131,6 +146,9 @@ class Reference:
                 return 0
             witness.restart_search()
             if missing:
+                if not self._is_certain(missing):
+                    self.slipped()
+                    return 0
                 if self.had_position and not estimator.lost:
                     estimator.lose(LossCause.PAUSE)
                 estimator.found(0, missing)
@@ -239,7 +257,7 @@ class Reference:
             missing = (turns * self.zero.cycles_per_revolution - counted) / intervals
             if abs(missing - round(missing)) * intervals < 1.0:
                 found.add(round(missing))
-        if len(found) == 1:
+        if len(found) == 1 and self._is_certain(*found):
             self.estimator.found(0, found.pop())
             self.range_known = self._range_from_zero = True
             self.speed_known()
