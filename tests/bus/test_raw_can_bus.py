@@ -242,6 +242,7 @@ class Clocks:
         self.now = 1000.0
         self.ahead_s = 1.8e9
         self.away_s: list[float] = []  # how long the processor is away before each look at the time of day
+        self.times = ReceiveTimes(lambda: self.now, self.wall)
 
     def wall(self) -> float:
         if self.away_s:
@@ -251,9 +252,6 @@ class Clocks:
     def stamp(self, ago_s: float = 0.0) -> float:
         """Of a frame that came so long ago, by the time of day as it is."""
         return self.now - ago_s + self.ahead_s
-
-    def times(self) -> ReceiveTimes:
-        return ReceiveTimes(lambda: self.now, self.wall)
 
 
 PAUSES_S = st.floats(0.0, 2.0) | st.sampled_from([0.0, 8e-6, 1.6e-5, 2e-5, 6e-5, 3e-4, 0.001])
@@ -266,11 +264,10 @@ def test_it_is_when_the_frame_came(frames: list[tuple[float, float, float]]) -> 
     60 us are enough to take an ADC PDO for one of another SYNC. 10 us are not seen.
     """
     clocks = Clocks()
-    times = clocks.times()
     for passed_s, ago_s, away_s in frames:
         clocks.now += passed_s
         now, stamp_s, clocks.away_s = clocks.now, clocks.stamp(ago_s), [away_s]
-        got = times.received(stamp_s, now)
+        got = clocks.times.received(stamp_s, now)
         assert got is not None
         unseen_s = RESOLUTION_S + away_s * (away_s <= UNSEEN_S)
         assert now - ago_s - unseen_s <= got <= min(now, now - ago_s + RESOLUTION_S)
@@ -280,11 +277,10 @@ def test_it_is_when_the_frame_came(frames: list[tuple[float, float, float]]) -> 
 def test_a_time_of_day_that_is_slewed_is_followed(drifts_s: list[float]) -> None:
     """NTP slews by 500 ppm at most: 50 us in 0.1 s; that is no step."""
     clocks = Clocks()
-    times = clocks.times()
     for drift_s in drifts_s:
         clocks.now += 0.1
         clocks.ahead_s += drift_s
-        got = times.received(clocks.stamp(0.002), clocks.now)
+        got = clocks.times.received(clocks.stamp(0.002), clocks.now)
         assert got == pytest.approx(clocks.now - 0.002, abs=RESOLUTION_S)
 
 
@@ -292,17 +288,16 @@ def test_a_time_of_day_that_is_slewed_is_followed(drifts_s: list[float]) -> None
 def test_frames_that_wait_over_a_step_have_no_time(step_s: float) -> None:
     """Before and after the step alike: nobody knows which clock stamped them."""
     clocks = Clocks()
-    times = clocks.times()
     before = clocks.stamp(0.003)
     clocks.ahead_s += step_s
     after = clocks.stamp(0.001)
-    assert times.received(before, clocks.now) is None
-    assert times.received(after, clocks.now) is None
+    assert clocks.times.received(before, clocks.now) is None
+    assert clocks.times.received(after, clocks.now) is None
     clocks.now += 0.5
-    assert times.received(clocks.stamp(), clocks.now) is None, "the queue was not empty yet"
-    times.emptied()
+    assert clocks.times.received(clocks.stamp(), clocks.now) is None, "the queue was not empty yet"
+    clocks.times.emptied()
     clocks.now += 0.5
-    assert times.received(clocks.stamp(0.004), clocks.now) == pytest.approx(
+    assert clocks.times.received(clocks.stamp(0.004), clocks.now) == pytest.approx(
         clocks.now - 0.004, abs=RESOLUTION_S
     )
 
@@ -310,13 +305,12 @@ def test_frames_that_wait_over_a_step_have_no_time(step_s: float) -> None:
 @given(st.sampled_from(STEPS), st.sampled_from(STEPS), st.floats(0.0, 0.5))
 def test_no_frame_gets_a_time_of_the_wrong_clock(first_s: float, second_s: float, ago_s: float) -> None:
     clocks = Clocks()
-    times = clocks.times()
     came = [(clocks.now - ago_s, clocks.stamp(ago_s))]
     for step_s in (first_s, second_s):
         clocks.ahead_s += step_s
         came.append((clocks.now - ago_s, clocks.stamp(ago_s)))
         for true_s, stamp_s in came:
-            got = times.received(stamp_s, clocks.now)
+            got = clocks.times.received(stamp_s, clocks.now)
             assert got is None or got == pytest.approx(true_s, abs=2 * LARGEST_STEP_S)
 
 
@@ -325,11 +319,10 @@ def test_no_frame_gets_a_time_of_the_wrong_clock(first_s: float, second_s: float
 )
 def test_stamps_of_another_clock_that_stands_still_are_not_used(stamp_s: float) -> None:
     clocks = Clocks()
-    times = clocks.times()
     for _ in range(5 * LEARNED_FRAMES):
-        assert times.received(stamp_s, clocks.now) is None
+        assert clocks.times.received(stamp_s, clocks.now) is None
         clocks.now += 1e-3
-    assert times.received(clocks.stamp(), clocks.now) is not None, "and cost nothing"
+    assert clocks.times.received(clocks.stamp(), clocks.now) is not None, "and cost nothing"
 
 
 @each("ago_s, used", [
@@ -337,7 +330,7 @@ def test_stamps_of_another_clock_that_stands_still_are_not_used(stamp_s: float) 
 ])  # fmt: skip
 def test_how_far_a_stamp_may_be_off(ago_s: float, used: bool) -> None:
     clocks = Clocks()
-    got = clocks.times().received(clocks.stamp(ago_s), clocks.now)
+    got = clocks.times.received(clocks.stamp(ago_s), clocks.now)
     assert (got is not None) is used
     assert got is None or got <= clocks.now, "nothing comes later than now"
 
@@ -347,7 +340,7 @@ class Adapter:
 
     def __init__(self, is_controller: bool, drift: float = 1e-4) -> None:
         self.clocks, self.rng = Clocks(), random.Random(1)
-        one: ReceiveTimes | OtherClock = self.clocks.times()
+        one: ReceiveTimes | OtherClock = self.clocks.times
         if is_controller:
             one = OtherClock(LONGEST_LATENCY_S)
         self.received = one.received
@@ -411,8 +404,7 @@ def test_a_clock_that_was_set_is_learned_again(is_controller: bool, step_s: floa
 @given(st.lists(st.floats(-1e6, 1e10) | st.sampled_from([0.0, math.nan, math.inf, -math.inf]), max_size=300))
 def test_any_stamps_give_no_time_after_now(stamps: list[float]) -> None:
     clocks = Clocks()
-    times = clocks.times()
     for stamp in stamps:
         clocks.now += 1e-3
-        got = times.received(stamp, clocks.now)
+        got = clocks.times.received(stamp, clocks.now)
         assert got is None or got <= clocks.now

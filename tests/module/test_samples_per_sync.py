@@ -50,12 +50,13 @@ class Bus:
         self.module.start(0.0)
         self.module.use_correction(Correction(IDEAL_TABLE, IDENTITY))
 
-    def sync(self, rate: float = 1.0) -> Feedback | None:
+    def sync(self, rate: float = 1.0, heard: bool = True) -> Feedback | None:
         now = START_S + self._syncs * PERIOD_S + self._rng.uniform(-self._jitter_s, self._jitter_s)
         self._syncs += rate
         pdos = self.interface.receive(Frame(0x80, SYNC, timestamp=now), now)
         self.module.tick(now)
-        self.module.receive(Frame(0x80, SYNC, timestamp=now), now)
+        if heard:
+            self.module.receive(Frame(0x80, SYNC, timestamp=now), now)
         for number, frame in enumerate(filter(self.deliver, pdos)):
             came = now + 130e-6 * (number + 1)
             self.module.receive(Frame(frame.can_id, frame.data, timestamp=came), came)
@@ -66,9 +67,6 @@ class Bus:
 
     def read(self, place: tuple[int, int]) -> float:
         return float(self.module.dictionary.entry(*place).current())
-
-    def counter(self, place: tuple[int, int]) -> int:
-        return int(self.read(place))
 
 
 def away(bus: Bus, got: Feedback) -> float:
@@ -97,7 +95,7 @@ def test_a_servo_move_over_a_bus_with_jitter(per_sync: int, residual: float, jit
         largest = max(largest, *(one.residual for one in (*bus.module.chain.between, got)))
     assert bus.module.interval_s == pytest.approx(PERIOD_S / per_sync, rel=1e-2)
     assert largest == pytest.approx(residual, rel=0.08)
-    assert [bus.counter((0x2012, sub)) for sub in (1, 2, 3, 4, 5, 8)] == [0] * 6
+    assert [bus.read((0x2012, sub)) for sub in (1, 2, 3, 4, 5, 8)] == [0] * 6
 
 
 @each("said_us", [700, 1300, 1500, 3000])
@@ -147,11 +145,18 @@ def test_a_sample_with_a_lost_pdo_is_missed_as_a_whole(lost_id: int) -> None:
     got = bus.run(20)
     assert got is not None
     assert got.valid
-    assert bus.counter(od.COUNTER_MISSED) == 1
+    assert bus.read(od.COUNTER_MISSED) == 1
     assert away(bus, got) == pytest.approx(round(away(bus, got)), abs=0.1)
     bus.deliver = lambda frame: False
     bus.run(10)
-    assert bus.counter(od.COUNTER_LOSS_BAD) == 2 * 4, "2010:03 is 3 SYNCs: the fourth is too many"
+    assert bus.read(od.COUNTER_LOSS_BAD) == 2 * 4, "2010:03 is 3 SYNCs: the fourth is too many"
+
+
+def test_a_first_sample_that_answers_a_sync_before_operational_misses_none() -> None:
+    bus = Bus(samples_per_sync=3)
+    bus.source.motion = Motion((), start_rpm=18.0)  # a quarter of a cycle per sample
+    found = [(got, away(bus, got)) for n in range(9) if (got := bus.sync(heard=n > 1))]
+    assert all(got.valid and abs(off) < 0.1 for got, off in found)
 
 
 def test_without_times_and_with_jitter_it_is_never_wrong() -> None:

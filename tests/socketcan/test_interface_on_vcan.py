@@ -43,15 +43,7 @@ UNITS_PER_CYCLE, RANGE_CYCLES = 8192, 209 * 2500
 SERIAL = 0x7E570001
 SYNCS = 400
 UNANSWERED_S = 5.0
-
-
 TREE = Path(__file__).with_name("emulated_iio_tree.py")
-
-
-def with_adc(period_ms: float) -> list[str]:
-    """In a mount namespace of its own, with the rights that it takes."""
-    namespace = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--map-root-user", "--mount"]
-    return [*namespace, sys.executable, str(TREE), str(period_ms)]
 
 
 @pytest.fixture(autouse=True)
@@ -71,7 +63,9 @@ def interface(tmp_path: Path, command: Started, pace: Pace) -> Callable[[int], P
             f" state_dir: {tmp_path / 'state'}, source: {SOURCE}}}\n"
         )
         canfb = [sys.executable, "-m", "canfb", "run", str(path)]
-        return command(*with_adc(1e3 * pace.period_s), *canfb)
+        # In a mount namespace of its own, with the rights that it takes.
+        namespace = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--map-root-user", "--mount"]
+        return command(*namespace, sys.executable, str(TREE), str(1e3 * pace.period_s), *canfb)
 
     return start
 

@@ -421,17 +421,17 @@ class Pairing(ProcessData):
         An old one is not used; nor is one too near to the last, but that accounts for its SYNC.
         """
         call, syncs, source = self._call, self.syncs, self._source
+        if not self._synced and source is None:
+            syncs.sync(call.received, call.is_stamped, None)  # no SYNCs: the sample is its own
         place, received_s, synced_s = syncs.place, None, None  # for a source or a synchronous RPDO
         if not self._input.is_synchronous and source is None:
             received_s = call.received if call.is_stamped else None
             is_first = self._synced and not (self._sample_came or syncs.extra_came)
-            if self.answers.waits and call.is_stamped and syncs.stamped:
+            if self._synced and self.answers.waits and call.is_stamped and syncs.stamped:
                 place, synced_s = self._answered_sync(call.received - syncs.synced_s)
                 sample = sample._replace(elapsed=max(1.0, float(place - self._accounted)))
             elif is_first and syncs.stamped == call.is_stamped:  # it certainly answers the last SYNC
                 synced_s = syncs.synced_s
-        if not self._synced and source is None:
-            syncs.sync(call.received, call.is_stamped, None)  # no SYNCs: the sample is its own
         self._limits.unit_changed()
         if self._interval.samples_per_sync > 1:
             self._grid.follow(syncs.grid.seen)
