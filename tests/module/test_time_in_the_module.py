@@ -641,9 +641,14 @@ def creeping(speed: float) -> Motion:
     return lambda at: speed * (max(at - 1.0, 0.0) ** 2 / 10.0 if at < 6.0 else at - 3.5)
 
 
-def test_two_syncs_lost_before_the_period_is_known_lose_the_position() -> None:
-    machine = Machine(True, creeping(0.5), ran=6)
-    machine.run(8, 60)
+@pytest.mark.parametrize(("stamped", "overflow"), [(True, 0), (True, 2), (True, 10), (False, 0), (False, 10)])
+def test_two_periods_before_theirs_is_known_lose_the_position(stamped: bool, overflow: int) -> None:
+    machine = Machine(stamped, creeping(0.5), overflow=overflow)
+    machine.module.dictionary.entry(0x1006).value = 0 if stamped else round(PERIOD_S * 1e6)
+    machine.run(1, 6)
+    for k in range(8, 60):
+        machine.sync_at(k - 2, k)
+        machine.sample(k)
     assert machine.right()
 
 

@@ -186,9 +186,12 @@ class Syncs:
         if apart_s < (HALF * (grid.rough or inf) if again else SAME_FRAME_S if stamped else 0.0):
             return REPEATED, 0, 0.0
         if not grid.period:
-            places = apart_s / (grid.rough or inf) if stamped and missing is None else 1.0
-            grid.learn(time_s) if stamped else grid.learn_earliest(time_s, self.expected_s())
-            return self._taken(stamped, missing or 0, doubt=places if places > 1.0 + HALF else 0.0)
+            lost, expected_s = missing or 0, self.expected_s()
+            # The median of calls may be that of a late host, which alone says nothing.
+            period_s = grid.rough if stamped else expected_s and max(grid.rough, expected_s)
+            places, most = apart_s / (period_s or inf), (lost + 1) * (1.0 + (HALF if stamped else LATE))
+            grid.learn(time_s) if stamped else grid.learn_earliest(time_s, expected_s)
+            return self._taken(stamped, lost, doubt=places if places > most else 0.0)
         return (self._by_time if stamped else self._by_order)(time_s, missing)
 
     def _missing(self, counter: int | None) -> int | None:
@@ -271,7 +274,9 @@ class Syncs:
         if in_time and not doubt:
             grid.is_in_turn(time_s, may_be_late=True)
         elif grid.refuse_call(time_s, early, self.expected_s()):
-            return self._relocked(late_s, turn)
+            behind = round(late_s / grid.period / turn) * turn
+            verdict, _, _ = self._set_again(1 + behind, late_s)
+            return verdict._replace(doubt=max(1.0, verdict.doubt)), 0, 0.0
         if early and missing is None and time_s - self._received_s < FASTER * grid.period:
             return self._extra(time_s)
         if not late and self.late_s and late_s < HALF * grid.period:
@@ -283,11 +288,6 @@ class Syncs:
             return verdict, 1 + lost, late_s
         grid.skip(1 + lost)
         return verdict, 0, 0.0
-
-    def _relocked(self, late_s: float, turn: int) -> Judged:
-        behind = round(late_s / self.grid.period / turn) * turn
-        verdict, _, _ = self._set_again(1 + behind, late_s)
-        return verdict._replace(doubt=max(1.0, verdict.doubt)), 0, 0.0
 
     def _early_s(self, counted: bool) -> float:
         """Distance from its place, s, below which a SYNC is early; ``counted``: it has a counter."""
