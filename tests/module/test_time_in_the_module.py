@@ -681,18 +681,20 @@ def test_an_answer_to_a_sync_before_the_start_is_none_after_it() -> None:
     assert machine.right()
 
 
-REQUEST = Frame(0x180 + NODE, b"", True)
-
-
-def test_nothing_valid_is_sent_on_request_when_sync_has_stopped() -> None:
-    machine = Machine(True, creeping(0.1), entries={(0x1800, 1): 0x800001A0})
-    machine.sdo[0x1800][2].raw = 252
+@pytest.mark.parametrize("ended_by", ["silence", "a late host", "bus-off", "another RPDO"])
+def test_nothing_valid_is_sent_on_request_when_sync_has_stopped(ended_by: str) -> None:
+    entries: dict[tuple[int, int], float] = {(0x1029, 1): 1, (0x1800, 1): 0x800001A0, (0x1800, 2): 252}
+    machine = Machine(True, creeping(0.1), entries)
     machine.sdo[0x1800][1].raw = 0x1A0
     machine.run(1, 60)
     for at, answers in ((60.0, 1), (80.0, 0)):
-        machine.until(at)
-        sent = machine.module.receive(REQUEST, at * PERIOD_S)
+        machine.until(at if ended_by == "silence" else 60.0)
+        sent = machine.module.receive(Frame(0x180 + NODE, b"", True), at * PERIOD_S)
         assert sum(frame.can_id == 0x180 + NODE for frame in sent) == answers
+        if ended_by == "bus-off":
+            machine.module.bus_off(at * PERIOD_S)
+        if ended_by == "another RPDO":
+            machine.sdo[0x1400][1].raw = 0x80000190
 
 
 def test_a_sync_off_the_grid_is_that_of_its_own_sample() -> None:

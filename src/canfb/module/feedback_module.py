@@ -213,6 +213,7 @@ class FeedbackModule(NodeDevice):
         """
         frames = super().bus_off(now)
         if self.state is NmtState.OPERATIONAL:
+            self.expired(now)
             self._sampling.uncounted(now)
         return frames
 
@@ -259,13 +260,14 @@ class FeedbackModule(NodeDevice):
     # Application: called by the node.
 
     def expired(self, now: float) -> None:
-        """No SYNC for 2010:06 periods: the position is not valid in objects."""
+        """No SYNC for 2010:06 periods: the position in objects and in PDOs on request is not valid."""
         self._publishing.withhold()
+        self._life.services.pdos.forget_sampled()
 
     def overdue(self, now: float) -> None:
         """No SYNC and no sample for 2010:06 periods."""
         self.events.sync_lost(self._syncs.synced_s, now)
-        self._life.services.pdos.forget_sampled()  # a remote request would get a position sampled as valid
+        self._life.services.pdos.forget_sampled()
         self._sampling.overdue(now)
 
     def check_write(self, entry: Entry | None) -> None:
@@ -282,6 +284,7 @@ class FeedbackModule(NodeDevice):
             self._operating_time.keep(now)
 
     def _pause(self, now: float) -> None:
+        self.expired(now)
         self._sampling.pause(now)
         self._recorder.stop()
         self._calibrating.interrupted()
@@ -290,7 +293,8 @@ class FeedbackModule(NodeDevice):
         """The position is forgotten unless ``communication_only``."""
         self._operating_time.begin(now)
         self._lock.reset()
-        self._publishing.reset_alarms()
+        self._publishing.alarm.reset()
+        self._publishing.warnings.reset()
         self._sampling.forget_interval()
         self._declare_jitter()
         if not communication_only:

@@ -151,10 +151,6 @@ class Publishing:
         cob_id, kind = (self._dictionary.entry(od.TPDO + number - 1, subindex).value for subindex in (1, 2))
         return is_valid(cob_id) and kind in ON_EVENT
 
-    def reset_alarms(self) -> None:
-        self.alarm.reset()
-        self.warnings.reset()
-
     def reset(self) -> None:
         self.latest.forget()
         self.events.reset()

@@ -59,8 +59,7 @@ class Sampling:
             self._pairing.begin()
 
     def pause(self, now: float) -> None:
-        """End sampling: OPERATIONAL ends, or the mapping changes. The position is not valid in objects."""
-        self._publishing.withhold()
+        """End sampling: OPERATIONAL ends, or the mapping changes."""
         if not self._paused:
             grid = self._syncs.grid  # its last place: the call of a late host may be later than the SYNC
             self._paused_s = min(self._syncs.synced_s, grid.due - grid.period) if self._syncs.begun else now

@@ -146,7 +146,9 @@ class Publication:
                 od.FEEDBACK_RAW_PHASE: lambda: int(self._known_raw() * SIXTEEN_BITS),
                 od.FEEDBACK_VELOCITY: lambda: self._rad_s(self._last.speed_cycles, 1),
                 od.FEEDBACK_ACCELERATION: lambda: self._rad_s(self._last.acceleration_cycles, 2),
-                od.FEEDBACK_JUMP: self._jump,
+                od.FEEDBACK_JUMP: lambda: max(
+                    -LARGEST_INTEGER32, min(self._last.jump_cycles, LARGEST_INTEGER32)
+                ),
                 od.FEEDBACK_SAMPLES: lambda: self._last.samples & U32,
                 od.FEEDBACK_NOISE: lambda: _sixteen_bits(limits.noise.rms_cycles, U16),
                 od.COUNTER_RECOVERED: lambda: chain.reference.recovered & U32,
@@ -202,9 +204,6 @@ class Publication:
         rad_per_cycle = 2.0 * math.pi / float(self._cycles_per_revolution.value)
         value = per_interval * rad_per_cycle / interval_s**power
         return max(-LARGEST_REAL32, min(value, LARGEST_REAL32))
-
-    def _jump(self) -> int:
-        return max(-LARGEST_INTEGER32, min(self._last.jump_cycles, LARGEST_INTEGER32))
 
 
 def _sixteen_bits(cycles: float, most: int) -> int:
