@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
+from collections import Counter
 
 import can
 import pytest
@@ -116,10 +117,12 @@ def scanned(bench: Bench, seconds: float = 0.3) -> dict[int, FoundNode]:
 def test_all_nodes_with_state_and_identity_and_nothing_is_written() -> None:
     bench = Bench(sync=False)
     bench.module.receive(Frame(0x000, bytes((0x80, MODULE_ID))), 0.0)
-    frames = heard(bench)
+    frames, at_once = heard(bench), Counter[float]()
+    bench.bus.observers.append(lambda frame, now: at_once.update([now] * (frame.data[:4] == b"\x40\0\x10\0")))
     found = scanned(bench)
     requests = [frame for frame in frames if 0x600 <= frame.can_id < 0x680]
     assert len({frame.can_id for frame in requests}) == 127
+    assert max(at_once.values()) <= 10, "the queue of SocketCAN"
     assert all(frame.data[0] in (0x40, 0x60, 0x70) for frame in requests), "uploads only"
     assert not any(frame.can_id == 0 for frame in frames)
     assert sorted(found) == [INTERFACE_ID, MODULE_ID]

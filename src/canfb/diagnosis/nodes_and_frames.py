@@ -34,8 +34,8 @@ from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import Reading, described_by
 from canfb.view.module_view import Pdo, Read, valid_pdos
 
-EVERY = 16  # requests sent without a pause: adapters have short queues
-PAUSE_S = 0.005
+EVERY = 8  # requests sent without a pause: SocketCAN queues 10 frames
+PAUSE_S = 0.008  # enough for these at 125 kbit/s
 DEVICE_NAME = (0x1008, 0)
 STATE_S = 0.05  # time for the answer to a remote frame
 REQUEST = struct.pack("<BHB4x", 0x40, *od.DEVICE_TYPE)
