@@ -51,8 +51,11 @@ def run(bench: Bench, *words: str, guard: Guard | None = None) -> int:
     options.line = "canfb commission"
     if options.out:
         prepare_folder(options.out)
-    asked, quiet = (*measured_nodes(options, named_config(options)), wishes_of(options)), Progress(quiet=True)
-    return say_result(options, commissioned(bench.master, *asked, guard or Guard(), quiet, "2026-03-01"))
+    asked, shown = (
+        (*measured_nodes(options, named_config(options)), wishes_of(options)),
+        Progress(quiet=options.json),
+    )
+    return say_result(options, commissioned(bench.master, *asked, guard or Guard(), shown, "2026-03-01"))
 
 
 def commission(bench: Bench, *arguments: str, guard: Guard | None = None) -> int:
@@ -139,7 +142,9 @@ def test_it_writes_watches_and_saves(capsys: pytest.CaptureFixture[str]) -> None
     first = values(bench)
     assert values(again) == first, "after the power was off"
     assert commission(bench, "--write") == 0, "a second time gives much the same"
-    assert "the limits are in force" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert said.err.endswith("... the limits are in force\n"), "also where the page is interrupted"
+    assert "the limits are in force, and nothing was flagged" in said.out
     for place, value in values(bench).items():
         # The repeats of a frozen input rise steeply where the noise is small.
         near = 0.4 if place == od.SUPERVISION_FROZEN else 0.15

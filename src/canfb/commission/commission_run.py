@@ -426,6 +426,7 @@ def commission(
             keep=wishes.save,
             step=steps.step,
         )
+        steps.step(f"the limits are in force{', and saved' * (saved_as is not None)}")
     done = Commissioned(
         observed,
         limits,
