@@ -93,13 +93,17 @@ def test_the_sync_is_produced_until_the_end_and_heard_by_itself(peer: can.BusABC
 
 
 class FailingBus(can.BusABC):
-    """Receives and sends only errors."""
+    """Receives and sends only errors; ``once``: one error, as SocketCAN where its interface goes down."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, once: bool = False) -> None:
         super().__init__(channel="failing")
-        self.sent = 0
+        self.once, self.failed = once, False
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.once and self.failed:
+            threading.Event().wait(timeout)
+            return None, False
+        self.failed = True
         raise OSError(100, "Network is down")
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
@@ -108,15 +112,21 @@ class FailingBus(can.BusABC):
 
 def test_a_bus_that_fails_is_one_line_and_no_traceback(capfd: pytest.CaptureFixture[str]) -> None:
     with BusMaster(FailingBus()) as master:
-        with pytest.raises(BusError, match=re.escape("the bus fails: Network is down")):
-            master.wait(5.0)
-        with pytest.raises(BusError, match="the bus fails"):
-            master.check()
+        for _ in range(2):
+            with pytest.raises(BusError, match=re.escape("the bus fails: Network is down")):
+                master.wait(5.0)
         with pytest.raises(
             BusError, match=r"the bus fails: Network is down|could not be sent: no buffer space"
         ):
             master.send(0x80, b"")
     assert capfd.readouterr().err == ""
+
+
+def test_a_bus_that_failed_once_is_used_again() -> None:
+    with BusMaster(FailingBus(once=True)) as master:
+        with pytest.raises(BusError, match="the bus fails: Network is down"):
+            master.wait(5.0)
+        master.wait(0.1)
 
 
 def test_time_passes(peer: can.BusABC) -> None:

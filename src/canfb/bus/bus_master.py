@@ -67,16 +67,11 @@ class BusMaster:
         """Wait. BusError as soon as the bus fails."""
         end = self.now() + duration_s
         while True:
-            self.check()
+            self._network.check()
             left = end - self.now()
             if left <= 0.0:
                 return
             time.sleep(min(left, LOOK_S))
-
-    def check(self) -> None:
-        notifier = self._network.notifier
-        if notifier is not None and notifier.exception is not None:
-            raise BusError(f"the bus fails: {reason(notifier.exception)}") from notifier.exception
 
 
 class _Network(canopen.Network):
@@ -98,6 +93,12 @@ class _Network(canopen.Network):
         super().unsubscribe(can_id, callback)
         self._filter()
 
+    def check(self) -> None:
+        """BusError, once for each failure of reading: the bus may be back since."""
+        if self.notifier is not None and self.notifier.exception is not None:
+            error, self.notifier.exception = self.notifier.exception, None
+            raise BusError(f"the bus fails: {reason(error)}") from error
+
     def _filter(self) -> None:
         filters = [{"can_id": one, "can_mask": cob.CAN_ID, "extended": False} for one in self.subscribers]
         self._bus.set_filters(filters or None)  # type: ignore[arg-type]
@@ -111,4 +112,5 @@ class _Listener(MessageListener):
             self.network.notify(msg.arbitration_id, msg.data, msg.timestamp)
 
     def on_error(self, exc: Exception) -> None:
-        """The notifier stores the exception."""
+        """The notifier stores the exception and reads again."""
+        time.sleep(LOOK_S)

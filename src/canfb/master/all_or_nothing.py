@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode
-from canfb.errors import CanfbError, saying
+from canfb.errors import BusError, CanfbError, saying
 from canfb.master.access import (
     CommissioningError,
+    Master,
     NodeAccess,
     ObjectAbsentError,
     RefusedError,
@@ -232,7 +233,7 @@ def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: 
     """Restore ``what`` by ``act``, with a second attempt after a pause; CommissioningError with advice."""
     for pause_s in PAUSES_S:
         try:
-            module.master.wait(pause_s)
+            _pause(module.master, pause_s)
             with without_restart(module):
                 act()
             return
@@ -243,3 +244,11 @@ def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: 
         f"{what} could not be put back ({failure}): switch {module.name} off and on, which brings back "
         f"{saved}"
     ) from failure
+
+
+def _pause(master: Master, duration_s: float) -> None:
+    """Though the bus fails meanwhile."""
+    end_s = master.now() + duration_s
+    while master.now() < end_s:
+        with contextlib.suppress(BusError):
+            master.wait(end_s - master.now())
