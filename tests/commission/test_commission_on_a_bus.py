@@ -215,7 +215,14 @@ def spoil_the_speed(bench: Bench) -> None:
     between(bench, lambda frame: [answer] if frame.data[:4] == b"\x40\x11\x20\x07" else None)
 
 
+def restart(bench: Bench) -> None:
+    """Somewhen in the measurement; the machine stands, and the position is valid again at once."""
+    boot_ups = [Frame(0x720, b"\0")]
+    bench.master.on_wait = lambda now: bench.bus.send(boot_ups.pop()) if boot_ups and now > 1.0 else None
+
+
 @each("options, spoil, words", [
+    ({}, restart, r"module 32 \(20h\) was restarted meanwhile"),
     ({"table": False}, None, r"no correction table is active.*run canfb calibrate first"),
     ({"motion": Motion(())}, None, "the machine stands still: nothing can be said of its acceler"),
     ({"motion": FAR_TOO_FAST}, None, "the position is lost"),

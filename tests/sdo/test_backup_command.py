@@ -298,17 +298,36 @@ def test_a_backup_between_upload_and_activation_has_the_set_in_force(canfb: Comm
     assert spare.access.read(0x2002, 1, "f") == before.conditioning.sine_offset_counts
 
 
-def test_an_activation_while_the_backup_is_read(canfb: Commands, tmp_path: Path) -> None:
-    bench = set_up(module())
+def activate(bench: Bench) -> None:
+    bench.module.chain.activate(Correction(TABLE, Conditioning(sine_gain=1.5)))
 
-    def activated(frame: Frame) -> list[Frame] | None:
-        if place_of(frame) == (0x2020, 1) and not is_write(frame):
-            bench.module.chain.activate(Correction(TABLE, Conditioning(sine_gain=1.5)))
+
+def restart(bench: Bench) -> None:
+    """It has its saved values again."""
+    bench.bus.send(Frame(0x000, b"\x81\x20"))
+
+
+@pytest.mark.parametrize(
+    ("place", "act", "words"),
+    [
+        ((0x2020, 1), activate, "the table changed while it was read; try again"),
+        ((0x1017, 0), restart, "module 32 (20h) was restarted meanwhile"),
+    ],
+)
+def test_a_change_while_the_backup_is_read(
+    place: tuple[int, int], act: Callable[[Bench], None], words: str, canfb: Commands, tmp_path: Path
+) -> None:
+    bench, path = set_up(module()), tmp_path / "backup.yaml"
+
+    def changed(frame: Frame) -> list[Frame] | None:
+        if place_of(frame) == place and not is_write(frame):
+            act(bench)
         return None
 
-    between(bench, activated)
-    _, err = canfb(bench, "backup", "save", NODE, tmp_path / "backup.yaml", code=1)
-    assert "the table changed while it was read; try again" in err
+    between(bench, changed)
+    _, err = canfb(bench, "backup", "save", NODE, path, code=1)
+    assert words in err
+    assert not path.exists()
 
 
 PAGE = page("storage").partition("\n## Backup")[2].partition("\n## A file for")[0]

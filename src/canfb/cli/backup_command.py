@@ -23,7 +23,7 @@ from canfb.cli.options import (
 )
 from canfb.eds_files import eds_path
 from canfb.files import check_writable, write_whole
-from canfb.master.access import NodeAccess
+from canfb.master.access import NodeAccess, without_restart
 from canfb.module.device_configuration import (
     OF_THE_MACHINE,
     backup_values,
@@ -86,7 +86,9 @@ def save(options: argparse.Namespace) -> int:
     check_writable(options.file)
     described = ObjectDescriptions(eds_path(EDS), options.node)
     with node_options.master_of(options) as master:
-        found = backup_of(NodeAccess(master, options.node, "module"), described, date_and_time())
+        module = NodeAccess(master, options.node, "module")
+        with without_restart(module):
+            found = backup_of(module, described, date_and_time())
     write_whole(options.file, backup_text(found, described).encode())
     return node_options.say_result(options, backup_result(found, options.file))
 

@@ -18,7 +18,7 @@ from canfb.commission.limit_choice import LEAST_SAMPLES, Choice, choose, observe
 from canfb.commission.machine_figures import Observation, smooth_acceleration
 from canfb.errors import CanfbError
 from canfb.files import write_whole
-from canfb.master.access import CommissioningError, Master, NodeAccess
+from canfb.master.access import CommissioningError, Master, NodeAccess, without_restart
 from canfb.master.all_or_nothing import Guard, change, check_can_save, check_unlocked
 from canfb.master.machine_watch import (
     Provenance,
@@ -407,8 +407,9 @@ def commission(
     check_valid(node)
     counters, began_s = read_counters(node), master.now()
     steps.step(f"listening to the machine for {wishes.seconds:g} s: let it do its normal duty")
-    samples, readings = _collect(session, wishes, steps)
-    usual, usual_s = counted(counters, read_counters(node)), master.now() - began_s
+    with without_restart(node):  # which sets limits and counters back
+        samples, readings = _collect(session, wishes, steps)
+        usual, usual_s = counted(counters, read_counters(node)), master.now() - began_s
     steps.step(f"calculating from {len(samples)} samples")
     observed = observe(samples, session.active, limits, readings)
     choices = choose(observed, limits, wishes.margin, wishes.acceleration)
