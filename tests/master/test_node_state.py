@@ -17,7 +17,7 @@ from canfb.simulation.embedded_bus import REGULAR, SyncProducer
 from canfb.simulation.encoder import Motion, Ramp, Ripple
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, heard, lose, running
 from folding import each
-from node_commands import Commands
+from node_commands import Commands, between
 
 ERROR_CONTROL = 0x700 + MODULE_ID
 
@@ -151,6 +151,13 @@ def slow(rate_hz: float) -> Bench:
     return bench
 
 
+def deaf_once_it_is_reset() -> Bench:
+    bench = running(motion=STILL)
+    frames = heard(bench)
+    between(bench, lambda frame: [] if 0x720 in [one.can_id for one in frames] else None)
+    return bench
+
+
 # A millicycle to and fro, around a place where the phase wraps.
 HELD = Motion((), (Ripple(60.0 * 0.001 * 6.28 * 5.0 / CYCLES, 5.0),))
 TURNS, STARTS = Motion((), (), 0.6), Motion((Ramp(1.2, 0.0), Ramp(0.3, 20.0)))
@@ -162,6 +169,7 @@ CASES: list[tuple[Callable[[], Bench], tuple[str, ...], str]] = [
     (lambda: slow(5.0), (), "position valid"),
     (lambda: slow(100.0), (), "position valid"),
     (lambda: running(motion=STILL, sync=False), (), "so it cannot be seen whether the machine stands still"),
+    (deaf_once_it_is_reset, (), "done: node 32 (20h) is reset and started; but then node 32"),
     (silent, (), "so it cannot be seen whether the machine stands still"),
     (at_a_whole_cycle, (), "the machine moves, it has moved by +"),
 ]

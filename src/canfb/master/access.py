@@ -106,6 +106,15 @@ class ObjectAbsentError(RefusedError):
     """The node does not have the object."""
 
 
+@contextlib.contextmanager
+def but_then(done: str) -> Iterator[None]:
+    """What fails within, or is interrupted, says what was ``done`` before."""
+    try:
+        yield
+    except (CanfbError, KeyboardInterrupt) as error:
+        raise CommissioningError(f"done: {done}; but then {str(error) or 'interrupted'}") from error
+
+
 class Master(Protocol):
     """A bus, see :class:`canfb.bus.bus_master.BusMaster`."""
 
@@ -436,17 +445,20 @@ def reset_module(
     if not force:
         _refuse_motion(module, progress, 0, 2)
     _restart(module, command)
-    _wait_until(
-        module.master, BOOT_UP_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID
-    )
-    status = module.integer(*od.FEEDBACK_STATUS, "H")
+    done = f"{module.name} is reset and started"
+    with but_then(done):
+        _wait_until(
+            module.master, BOOT_UP_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID
+        )
+        status = module.integer(*od.FEEDBACK_STATUS, "H")
     if not status & od.StatusBit.VALID:
         words = ", ".join([str(od.position_state(status)), *od.fault_words(status)])
         raise CommissioningError(
             f"{module.name}: reset and started, but its position is {words}: canfb why {module.node_id:#04x} "
             "says why"
         )
-    after = None if force else watch_standstill(module, lambda part: progress((1 + part) / 2))
+    with but_then(done):
+        after = None if force else watch_standstill(module, lambda part: progress((1 + part) / 2))
     if after is not None and after.moves:
         raise CommissioningError(
             f"{module.name}: the machine began to move while it was reset, {after.text}: its count may be "

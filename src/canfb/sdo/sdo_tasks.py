@@ -17,7 +17,7 @@ from canfb.cia301.codes import AbortCode, ErrorRegister
 from canfb.cia301.datatypes import DataType
 from canfb.device.od.dcf import Reals, real_as_text
 from canfb.errors import ConfigError, saying
-from canfb.master.access import CommissioningError, NodeAccess, RefusedError
+from canfb.master.access import CommissioningError, NodeAccess, RefusedError, but_then
 from canfb.master.all_or_nothing import SAVE_WITHIN_S
 from canfb.rows import Result, those
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, numbered
@@ -329,8 +329,9 @@ class SdoTasks:
                 self._node.write_bytes(*entry.place, data, slow)
         except RefusedError as error:
             raise self._refused("writing", entry, error) from None
-        now = self._read(entry) if before is not None else None
-        warning = self._warning() if was_valid else ""
+        with but_then(f"{entry.number} {entry.title} is written"):
+            now = self._read(entry) if before is not None else None
+            warning = self._warning() if was_valid else ""
         return _written(before, now, Reading(entry, data, self._described.product), warning)
 
     def _is_valid(self) -> bool:

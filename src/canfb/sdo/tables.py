@@ -15,10 +15,10 @@ import yaml
 
 from canfb import objects as od
 from canfb.calibration.result import peak, root_mean
-from canfb.errors import CanfbError, saying
+from canfb.errors import saying
 from canfb.files import read_bytes, write_whole
 from canfb.marked_yaml import MarkedYaml
-from canfb.master.access import CommissioningError, NodeAccess, as_real32
+from canfb.master.access import CommissioningError, NodeAccess, as_real32, but_then
 from canfb.master.all_or_nothing import (
     Guard,
     activate,
@@ -463,15 +463,10 @@ class TableTasks:
     ) -> Result:
         """The new state of the module, and the shift of positions; ``new`` None: only staged."""
         saved = f"saved ({done['saved_as']})" if done["saved_as"] else ""
-        try:
+        what = "table" if new is None else f"table {new.crc32:08X}h" if new.table else "no table"
+        where = "in force" if done["active"] else "staged"
+        with but_then(f"{what} {where} in {self._module.name}{', ' * bool(saved)}{saved}"):
             state = TableState.of_module(self._module)
-        except (CanfbError, KeyboardInterrupt) as error:
-            table = "table" if new is None else f"table {new.crc32:08X}h" if new.table else "no table"
-            where = "in force" if done["active"] else "staged"
-            raise CommissioningError(
-                f"done: {table} {where} in {self._module.name}{', ' * bool(saved)}{saved}; "
-                f"but then {str(error) or 'interrupted'}"
-            ) from error
         used, module = new or state.used, self._module
         _, apart = difference(before.table, used.table)
         moves = f"positions move by at most {state.cycles_in_words(apart)}"
