@@ -147,8 +147,17 @@ def record(options: argparse.Namespace) -> int:
 
 def replay(options: argparse.Namespace) -> int:
     options.log = required_file(options.log)
-    settings = settings_of(options)
-    several = len(settings.modules) > 1 and (options.out or options.report) and not options.log.is_dir()
+    folder = options.log.is_dir()
+    refuse_idle(options, *(OF_A_FILE if folder else OF_A_FOLDER))
+    settings = ReplayOptions(
+        modules=tuple(_modules(options)),
+        correction=None if options.table is None else read_table(Path(options.table)).used,
+        state_dir=options.state,
+        begin=Begin(options.begin),
+        channel=options.channel,
+        drift=folder if options.drift is None else options.drift,
+    )
+    several = len(settings.modules) > 1 and (options.out or options.report) and not folder
     files = [path.resolve() for path in (options.log, options.out, options.frames, options.report) if path]
     for said in those(
         (several, "--out, --report: are for one module; choose it by NODE"),
@@ -158,7 +167,7 @@ def replay(options: argparse.Namespace) -> int:
     if options.report is not None:
         check_writable(options.report, "--report")
     with shown_progress(quiet=options.json) as progress:
-        return (_folder if options.log.is_dir() else _one_log)(options, settings, progress)
+        return (_folder if folder else _one_log)(options, settings, progress)
 
 
 def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
@@ -177,19 +186,6 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
     lines += [f"written  {path}" for path in (options.out, options.frames, options.report) if path]
     say_result(options, Result(figures, lines), progress)
     return int(log.trouble is not None)
-
-
-def settings_of(options: argparse.Namespace) -> ReplayOptions:
-    folder = options.log.is_dir()
-    refuse_idle(options, *(OF_A_FILE if folder else OF_A_FOLDER))
-    return ReplayOptions(
-        modules=tuple(_modules(options)),
-        correction=None if options.table is None else read_table(Path(options.table)).used,
-        state_dir=options.state,
-        begin=Begin(options.begin),
-        channel=options.channel,
-        drift=folder if options.drift is None else options.drift,
-    )
 
 
 def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
