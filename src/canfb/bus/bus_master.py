@@ -66,12 +66,10 @@ class BusMaster:
     def wait(self, duration_s: float) -> None:
         """Wait. BusError as soon as the bus fails."""
         end = self.now() + duration_s
-        while True:
+        self._network.check()
+        while self.now() < end:
+            time.sleep(min(LOOK_S, max(0.0, end - self.now())))
             self._network.check()
-            left = end - self.now()
-            if left <= 0.0:
-                return
-            time.sleep(min(left, LOOK_S))
 
 
 class _Network(canopen.Network):
@@ -94,7 +92,7 @@ class _Network(canopen.Network):
         self._filter()
 
     def check(self) -> None:
-        """BusError, once for each failure of reading: the bus may be back since."""
+        """BusError, once for each failure of reading."""
         if self.notifier is not None and self.notifier.exception is not None:
             error, self.notifier.exception = self.notifier.exception, None
             raise BusError(f"the bus fails: {reason(error)}") from error

@@ -1,7 +1,4 @@
-"""``canfb run CONFIG.yaml``: the modules and encoder interfaces of a configuration on a real bus.
-
-A program error in one of the nodes ends the process for all, with exit code 1.
-"""
+"""``canfb run CONFIG.yaml``: the modules and encoder interfaces of a configuration on a real bus."""
 
 from __future__ import annotations
 

@@ -244,8 +244,11 @@ def kept_words(done: Commissioned) -> str:
 
 def outcome(done: Commissioned) -> str:
     if done.written:
-        unsaved = "not saved: --save keeps them over a loss of power"
-        saved = f"saved ({done.saved_as})" if done.saved_as else unsaved
+        saved = (
+            f"saved ({done.saved_as})"
+            if done.saved_as
+            else "not saved: --save keeps them over a loss of power"
+        )
         return f"the limits are in force, and nothing was flagged that was not flagged before; {saved}"
     if done.wishes.write:
         return "nothing to write: the module has these limits already"
@@ -439,8 +442,7 @@ def commission(
         saved_as,
         session.provenance(Provenance.of_run(date, wishes.line)),
     )
-    out = wishes.out
-    paths = [write_page(out, done), keep_samples(out, done.observed.samples)] if out else []
+    paths = [write_page(wishes.out, done), keep_samples(wishes.out, observed.samples)] if wishes.out else []
     return findings(done).result(paths)
 
 

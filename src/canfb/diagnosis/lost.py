@@ -174,15 +174,13 @@ class LostPosition:
             ),
             (self.sample_hz and self.status & BAD_SIGNAL, BAD_SIGNAL_ADVICE),
         )
-        parts = {
-            "last loss": self.happened(),
-            "what brings it back": self.brings_back(),
-            "what would have kept it": self.would_have_kept(),
-        }
         position = f"module {self.node_id} ({self.node_id:02X}h): position {od.position_state(self.status)}"
-        lines = [", ".join([position, *od.fault_words(self.status)])]
-        lines += [f"  {text}" for text in now]
-        for head, texts in parts.items():
+        lines = [", ".join([position, *od.fault_words(self.status)]), *(f"  {text}" for text in now)]
+        for head, texts in (
+            ("last loss", self.happened()),
+            ("what brings it back", self.brings_back()),
+            ("what would have kept it", self.would_have_kept()),
+        ):
             lines += [head, *(f"  {text}" for text in texts)] if texts else []
         return lines
 
@@ -362,13 +360,12 @@ def _read_loss(module: NodeAccess) -> Loss | None:
             od.COUNTER_LOSS_FAULTS,
         )
     )
-    residual_cycles, limit_cycles, speed_cycles = (one / LIMIT_UNITS for one in (residual, limit, speed))
     return Loss(
         cause,
         since_ms / 1e3,
         bad,
-        residual_cycles,
-        limit_cycles,
-        None if cause in (LossCause.PAUSE, LossCause.START) else speed_cycles,
+        residual / LIMIT_UNITS,
+        limit / LIMIT_UNITS,
+        None if cause in (LossCause.PAUSE, LossCause.START) else speed / LIMIT_UNITS,
         faults,
     )

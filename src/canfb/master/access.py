@@ -444,21 +444,25 @@ def reset_module(
     """
     if not force:
         _refuse_motion(module, progress, 0, 2)
-    _restart(module, command)
-    done = f"{module.name} is reset and started"
-    with but_then(done):
-        _wait_until(
-            module.master, BOOT_UP_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID
-        )
+    master, node = module.master, module.node_id
+    with received(master, cob.ERROR_CONTROL + node) as heard:
+        master.send(cob.NMT, struct.pack("BB", command, node))
+        if not _wait_until(master, BOOT_UP_S, lambda: cob.BOOT_UP in heard):
+            raise CommissioningError(f"{module.name}: no boot-up within {BOOT_UP_S:g} s after the reset")
+    master.send(cob.NMT, struct.pack("BB", NmtCommand.START, node))
+    with but_then(f"{module.name} is reset and started"):
+        _wait_until(master, BOOT_UP_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID)
         status = module.integer(*od.FEEDBACK_STATUS, "H")
-    if not status & od.StatusBit.VALID:
+        valid = status & od.StatusBit.VALID
+        after = (
+            watch_standstill(module, lambda part: progress((1 + part) / 2)) if valid and not force else None
+        )
+    if not valid:
         words = ", ".join([str(od.position_state(status)), *od.fault_words(status)])
         raise CommissioningError(
             f"{module.name}: reset and started, but its position is {words}: canfb why {module.node_id:#04x} "
             "says why"
         )
-    with but_then(done):
-        after = None if force else watch_standstill(module, lambda part: progress((1 + part) / 2))
     if after is not None and after.moves:
         raise CommissioningError(
             f"{module.name}: the machine began to move while it was reset, {after.text}: its count may be "
@@ -470,13 +474,3 @@ def reset_module(
         "spread_cycles": None if after is None else after.spread_cycles,
         "position": str(od.position_state(status)),
     }
-
-
-def _restart(module: NodeAccess, command: NmtCommand) -> None:
-    master, node = module.master, module.node_id
-    with received(master, cob.ERROR_CONTROL + node) as heard:
-        master.send(cob.NMT, struct.pack("BB", command, node))
-        started = _wait_until(master, BOOT_UP_S, lambda: cob.BOOT_UP in heard)
-    if not started:
-        raise CommissioningError(f"{module.name}: no boot-up within {BOOT_UP_S:g} s after the reset")
-    master.send(cob.NMT, struct.pack("BB", NmtCommand.START, node))

@@ -118,8 +118,7 @@ def write_limits(module: NodeAccess, limits: Mapping[od.Multiplexer, float]) -> 
             return 0 if WIDENING[place] * more > 0 else 2
         return 1 if place == CORNER.place else 2
 
-    places = sorted((place for place in KINDS if place in limits), key=turn)
-    for place in places:
+    for place in sorted((place for place in KINDS if place in limits), key=turn):
         layout = KINDS[place].layout
         module.write(*place, layout, limits[place] if layout == "f" else int(limits[place]))
     check_limits(module, limits)

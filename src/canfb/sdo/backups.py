@@ -379,16 +379,18 @@ def restored_result(
     preop: bool,
     dry_run: bool,
 ) -> Result:
-    name, saved_as = done.module.name, done.saved_as
     count = f"{len(done.changes)} of {len(backup.values) + 1} values"
     written = f"{count} changed to those of {path}, proven by reading all of them back"
     nothing = f"all values are those of {path} already; nothing was written"
     lines = [
         *(_change(place, pair, described) for place, pair in done.changes.items()),
         *those(
-            (dry_run, f"dry run: {path} would change {count} in {name}; nothing was written"),
-            (not dry_run, f"{name}: {written if done.changes else nothing}"),
-            (not dry_run, f"saved ({saved_as})" if saved_as else "not saved: --save keeps it (1010h)"),
+            (dry_run, f"dry run: {path} would change {count} in {done.module.name}; nothing was written"),
+            (not dry_run, f"{done.module.name}: {written if done.changes else nothing}"),
+            (
+                not dry_run,
+                f"saved ({done.saved_as})" if done.saved_as else "not saved: --save keeps it (1010h)",
+            ),
         ),
     ]
     changes = {

@@ -317,16 +317,16 @@ class SdoTasks:
         data = value if isinstance(value, bytes) else self._encoded(entry, value, raw)
         with saying(ConfigError, f"{entry.number} {entry.title}", ValueError):
             datatypes.decode(entry.data_type, data)
-        watched = self._described.product == MODULE and entry.index in SUPERVISION
-        was_valid = watched and self._is_valid()
+        was_valid = self._described.product == MODULE and entry.index in SUPERVISION and self._is_valid()
         is_domain = entry.data_type == DataType.DOMAIN
         before = self._read(entry) if entry.readable and not is_domain else None
         try:
             if is_domain:
                 self._node.download_domain(*entry.place, data)
             else:
-                slow = SAVE_WITHIN_S if entry.index in SIGNATURES else None
-                self._node.write_bytes(*entry.place, data, slow)
+                self._node.write_bytes(
+                    *entry.place, data, SAVE_WITHIN_S if entry.index in SIGNATURES else None
+                )
         except RefusedError as error:
             raise self._refused("writing", entry, error) from None
         with but_then(f"{entry.number} {entry.title} is written"):
@@ -391,9 +391,10 @@ class SdoTasks:
             raise self._refused("reading", entry, error) from None
 
     def _refused(self, doing: str, entry: ObjectDescription, error: RefusedError) -> CommissioningError:
-        what = f"{doing} {entry.number} {entry.title}"
         said = abort_words(error.code, entry, self._described.product)
-        return CommissioningError(f"{self._node.name}: {what} is refused: {said}")
+        return CommissioningError(
+            f"{self._node.name}: {doing} {entry.number} {entry.title} is refused: {said}"
+        )
 
 
 _ERRORS = (0x1003, 0)
