@@ -156,7 +156,16 @@ def weaken(bench: Bench, guard: Guard) -> None:
 
 
 def fail(bench: Bench, guard: Guard) -> None:
-    raise BusError("the bus fails: cable")
+    """For half a second; a wait ends 50 ms later at once."""
+    end_s = bench.bus.now + 0.5
+
+    def failing(now: float) -> None:
+        if now < end_s:
+            bench.bus.run_until(now + 0.05)
+            raise BusError("the bus fails: cable")
+
+    bench.master.on_wait = failing
+    failing(bench.bus.now)
 
 
 def write_another(bench: Bench, guard: Guard) -> None:

@@ -33,6 +33,7 @@ from drawing import examples
 from node_commands import ANSWER, Commands, between, interrupt, is_write, place_of, refuse_once
 
 NODE = hex(MODULE_ID)
+SAVE = "backup", "save", NODE
 CHANGED: dict[tuple[int, int], tuple[str, float]] = {
     (0x1017, 0): ("H", 500),
     (0x2010, 3): ("B", 9),
@@ -298,35 +299,21 @@ def test_a_backup_between_upload_and_activation_has_the_set_in_force(canfb: Comm
     assert spare.access.read(0x2002, 1, "f") == before.conditioning.sine_offset_counts
 
 
-def activate(bench: Bench) -> None:
-    bench.module.chain.activate(Correction(TABLE, Conditioning(sine_gain=1.5)))
-
-
-def restart(bench: Bench) -> None:
-    """It has its saved values again."""
-    bench.bus.send(Frame(0x000, b"\x81\x20"))
-
-
-@pytest.mark.parametrize(
-    ("place", "act", "words"),
-    [
-        ((0x2020, 1), activate, "the table changed while it was read; try again"),
-        ((0x1017, 0), restart, "module 32 (20h) was restarted meanwhile"),
-    ],
-)
-def test_a_change_while_the_backup_is_read(
-    place: tuple[int, int], act: Callable[[Bench], None], words: str, canfb: Commands, tmp_path: Path
-) -> None:
+def test_an_activation_or_a_restart_while_the_backup_is_read(canfb: Commands, tmp_path: Path) -> None:
     bench, path = set_up(module()), tmp_path / "backup.yaml"
 
-    def changed(frame: Frame) -> list[Frame] | None:
-        if place_of(frame) == place and not is_write(frame):
-            act(bench)
+    def activated(frame: Frame) -> list[Frame] | None:
+        if place_of(frame) == (0x2020, 1) and not is_write(frame):
+            bench.module.chain.activate(Correction(TABLE, Conditioning(sine_gain=1.5)))
         return None
 
-    between(bench, changed)
-    _, err = canfb(bench, "backup", "save", NODE, path, code=1)
-    assert words in err
+    between(bench, activated)
+    assert "table changed while it was read; try again" in canfb(bench, *SAVE, path, code=1)[1]
+    bench = set_up(module())
+    between(
+        bench, lambda frame: bench.bus.send(Frame(0, b"\x81\x20")) if place_of(frame)[0] == 0x1017 else None
+    )
+    assert "module 32 (20h) was restarted meanwhile" in canfb(bench, *SAVE, path, code=1)[1]
     assert not path.exists()
 
 
