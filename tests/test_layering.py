@@ -89,19 +89,14 @@ def imports_of(file: Path) -> list[Import]:
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{file}:{node.lineno}: relative import; write canfb.…"
-            names = _modules(node)
+            assert node.module is not None
+            names = [node.module]
+            if node.module == "canfb":  # `from canfb import device` imports the part device
+                names = [f"canfb.{alias.name}" for alias in node.names]
         else:
             continue
         found += [Import(file, node.lineno, name, node in guarded) for name in names]
     return found
-
-
-def _modules(node: ast.ImportFrom) -> list[str]:
-    """`from canfb import device` imports the part device."""
-    assert node.module is not None
-    if node.module == "canfb":
-        return [f"canfb.{alias.name}" for alias in node.names]
-    return [node.module]
 
 
 IMPORTS = [found for file in FILES for found in imports_of(file)]

@@ -67,14 +67,6 @@ def session() -> Tester:
     return tester
 
 
-def candump_log(tester: Tester) -> str:
-    lines = []
-    for time, can_id, data, remote in tester.log:
-        payload = "R" if remote else data.replace(" ", "")
-        lines.append(f"({1_000_000_000 + time:.6f}) vcan0 {can_id:03X}#{payload}")
-    return "\n".join(lines) + "\n"
-
-
 def decoded(log: str, folder: Path, *options: str) -> str:
     path = folder / "session.log"
     path.write_text(log)
@@ -132,7 +124,10 @@ def test_a_whole_session_is_decoded_without_a_malformed_frame(tmp_path: Path) ->
             pytest.fail(reason, pytrace=False)
         pytest.skip(reason)
     tester = session()
-    log = candump_log(tester)
+    log = ""
+    for time, can_id, data, is_remote in tester.log:
+        payload = "R" if is_remote else data.replace(" ", "")
+        log += f"({1_000_000_000 + time:.6f}) vcan0 {can_id:03X}#{payload}\n"
     lines = decoded(log, tmp_path).splitlines()
     assert len(lines) == len(tester.log)
     remote = sum(frame[3] for frame in tester.log)

@@ -338,19 +338,13 @@ def write_dcf(folder: Path, configuration: DeviceConfiguration, reals: Reals = R
     return path
 
 
-def loaded_by_canopen(path: Path) -> Bench:
-    """A module as delivered, and python canopen's master, which has loaded the DCF into it."""
-    bench = Bench()
-    remote = canopen.RemoteNode(NODE_ID, canopen.import_od(str(path)))
-    bench.network.add_node(remote)
-    remote.load_configuration()
-    return bench
-
-
 @pytest.mark.parametrize("name", SOURCES)
 def test_python_canopen_makes_a_module_as_delivered_the_same(name: str, tmp_path: Path) -> None:
     wanted = source(name)
-    bench = loaded_by_canopen(write_dcf(tmp_path, configuration_of(wanted)))
+    bench, dcf = Bench(), write_dcf(tmp_path, configuration_of(wanted))
+    remote = canopen.RemoteNode(NODE_ID, canopen.import_od(str(dcf)))
+    bench.network.add_node(remote)
+    remote.load_configuration()
     assert state(bench.module) == state(wanted)
     assert configuration_of(bench.module).writes() == configuration_of(wanted).writes()
     frames = played(wanted)

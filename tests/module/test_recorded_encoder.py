@@ -36,13 +36,6 @@ CONDITIONING = Conditioning(
 )
 
 
-def segments_of_the_index() -> list[np.ndarray]:
-    """Stretches between the gaps, without the last sample before each gap."""
-    rows = np.genfromtxt(RECORDING, delimiter=",", names=True)
-    *parts, last = np.split(rows["fw_index"], np.flatnonzero(np.diff(rows["t_s"]) > GAP_S) + 1)
-    return [part for part in (*(part[:-1] for part in parts), last) if part.size]
-
-
 def play(rows: int) -> list[list[tuple[int, int]]]:
     """SYNC by SYNC through the recording: position and status of every sample, by segment.
 
@@ -80,7 +73,10 @@ def play(rows: int) -> list[list[tuple[int, int]]]:
 
 @pytest.mark.skipif(not RECORDING.exists(), reason="no recording here; CANFB_RECORDINGS names its folder")
 def test_the_published_cycles_agree_with_the_index_over_every_segment() -> None:
-    segments = segments_of_the_index()
+    rows = np.genfromtxt(RECORDING, delimiter=",", names=True)
+    *parts, last = np.split(rows["fw_index"], np.flatnonzero(np.diff(rows["t_s"]) > GAP_S) + 1)
+    # Stretches between the gaps, without the last sample before each gap.
+    segments = [part for part in (*(part[:-1] for part in parts), last) if part.size]
     played = play(sum(map(len, segments)))
     assert [len(part) for part in played] == [len(part) for part in segments]
     assert len(segments) == 25

@@ -308,7 +308,7 @@ def test_an_activation_or_a_restart_while_the_backup_is_read(canfb: Commands, tm
         return None
 
     between(bench, activated)
-    assert "table changed while it was read; try again" in canfb(bench, *SAVE, path, code=1)[1]
+    assert "the table changed while it was read; try again" in canfb(bench, *SAVE, path, code=1)[1]
     bench = set_up(module())
     between(
         bench, lambda frame: bench.bus.send(Frame(0, b"\x81\x20")) if place_of(frame)[0] == 0x1017 else None

@@ -39,16 +39,15 @@ def episodes(kind: Kind, machine: Declared, count: int = EPISODES, seed: int = 5
     return draw(kind, machine, count, np.random.default_rng(seed))
 
 
-def pairs_of_covered() -> list:
-    return [
+@pytest.mark.parametrize(
+    ("kind", "machine"),
+    [
         pytest.param(kind, machine, id=f"{kind_name}-{name}")
         for kind_name, kind in KINDS.items()
         for name, machine in MACHINES.items()
         if kind.is_covered(machine) and not (machine.samples_per_sync > 1 and (kind.jitter or kind.stall))
-    ]
-
-
-@pytest.mark.parametrize(("kind", "machine"), pairs_of_covered())
+    ],
+)
 def test_valid_is_right_and_stays_while_samples_are_good(kind: Kind, machine: Declared) -> None:
     """One more good sample takes the valid bit only by contradiction, and the truth contradicts nothing."""
     per_sync = machine.samples_per_sync

@@ -22,17 +22,13 @@ HARMONICS = (Harmonic(2, 0.01, 0.02, 0.4, 1.1), Harmonic(5, 0.0, 0.03))
 BENT = replace(demo_encoder(), amplitude_counts=1400.0, harmonics=HARMONICS, noise_lsb=0.0)
 
 
-def by_the_formulas(position: float) -> tuple[float, float]:
-    """BENT written out once more, with math and one number at a time."""
-    x = 2 * math.pi * position
-    sine = math.sin(x) + 0.01 * math.sin(2 * x + 0.4)
-    cosine = math.cos(x - 0.05) + 0.02 * math.cos(2 * x + 1.1) + 0.03 * math.cos(5 * x)
-    return 1400 * (0.04 + 1.03 * sine), 1400 * (-0.03 + 0.96 * cosine)
-
-
 @given(st.floats(-100, 100))
 def test_tracks_are_those_of_the_formulas_and_samples_are_rounded_to_counts(position: float) -> None:
-    want = by_the_formulas(position)
+    """BENT written out once more, with math and one number at a time."""
+    x = 2 * math.pi * position
+    sines = math.sin(x) + 0.01 * math.sin(2 * x + 0.4)
+    cosines = math.cos(x - 0.05) + 0.02 * math.cos(2 * x + 1.1) + 0.03 * math.cos(5 * x)
+    want = 1400 * (0.04 + 1.03 * sines), 1400 * (-0.03 + 0.96 * cosines)
     assert tuple(map(float, BENT.tracks(position))) == pytest.approx(want, abs=1e-7)
     sine, cosine = BENT.sample(position)
     assert max(abs(sine - want[0]), abs(cosine - want[1])) <= 0.5 + 1e-6

@@ -176,7 +176,9 @@ def eight(process: Started, tmp_path: Path, can_bus: can.BusABC, pace: Pace) -> 
 
 def test_positions_a_twin_and_a_bus_off(eight: Process, can_bus: can.BusABC, pace: Pace) -> None:
     each_gives_its_own_positions(can_bus, pace)
-    a_twin_is_noticed(eight, can_bus, pace)
+    can_bus.send(frame(0x700 + NODES[0], b"\x05"))  # a twin
+    assert next_frame(can_bus, pace, 0x080 + NODES[0]) == bytes.fromhex("5081112107000000")
+    eight.wait_for(r"^canfb: node 33 \(21h\): another node on the bus uses this node-ID \(721h\)$")
     error_frames_report_bus_off(eight, can_bus, pace)
     assert eight.stop() == 0
     refused = [line for line in eight.lines if "refused" in line]
@@ -209,12 +211,6 @@ def each_gives_its_own_positions(bus: can.BusABC, pace: Pace) -> None:
             positions[can_id - 0x180].append(position)
     assert all(len(set(seen)) == 1 for seen in positions.values()), "they stand still"
     assert len({seen[0] for seen in positions.values()}) == len(INTERFACES), "each where it is"
-
-
-def a_twin_is_noticed(eight: Process, bus: can.BusABC, pace: Pace) -> None:
-    bus.send(frame(0x700 + NODES[0], b"\x05"))
-    assert next_frame(bus, pace, 0x080 + NODES[0]) == bytes.fromhex("5081112107000000")
-    eight.wait_for(r"^canfb: node 33 \(21h\): another node on the bus uses this node-ID \(721h\)$")
 
 
 def error_frames_report_bus_off(eight: Process, bus: can.BusABC, pace: Pace) -> None:
