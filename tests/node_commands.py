@@ -25,11 +25,13 @@ class Commands:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
         self._monkeypatch = monkeypatch
         self._command = Command(capsys)
+        self.at_end: Callable[[], None] = lambda: None  # called while the bus is closed
 
     def __call__(self, bench: Bench, *arguments: Any, code: int = 0) -> Said:
         @contextlib.contextmanager
         def master_of(options: Any) -> Iterator[Any]:
             yield bench.master
+            self.at_end()
 
         self._monkeypatch.setattr(node_options, "master_of", master_of)
         said = self._command("", *arguments, code=code)

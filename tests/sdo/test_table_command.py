@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import tempfile
 from pathlib import Path
 from unittest.mock import Mock
@@ -210,6 +211,10 @@ def test_an_interruption_puts_back_what_was(canfb: Commands, file: Path) -> None
     _, err = canfb(bench, "table", "write", NODE, file, "--activate", code=130)
     assert err == "canfb: interrupted; an unfinished change is undone\n"
     assert in_force(bench) == OLD
+    canfb.at_end = lambda: signal.raise_signal(signal.SIGTERM)
+    assert "in force in module 32" in canfb(bench, "table", "write", NODE, file, "--activate")[0], (
+        "it is done"
+    )
 
 
 bumps = st.floats(-0.1875, 0.1875, width=32)

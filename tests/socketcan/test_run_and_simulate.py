@@ -179,7 +179,15 @@ def test_positions_a_twin_and_a_bus_off(eight: Process, can_bus: can.BusABC, pac
     can_bus.send(frame(0x700 + NODES[0], b"\x05"))  # a twin
     assert next_frame(can_bus, pace, 0x080 + NODES[0]) == bytes.fromhex("5081112107000000")
     eight.wait_for(r"^canfb: node 33 \(21h\): another node on the bus uses this node-ID \(721h\)$")
-    error_frames_report_bus_off(eight, can_bus, pace)
+    for error_class, line in ((0x040, "the CAN controller is bus-off"), (0x100, "is on the bus again")):
+        can_bus.send(
+            can.Message(arbitration_id=error_class, data=bytes(8), is_extended_id=False, is_error_frame=True)
+        )
+        eight.wait_for(line)
+    for data in wait_for(can_bus, pace, *(0x080 + node for node in NODES)).values():
+        assert data[:2] == b"\x40\x81"
+    can_bus.send(can.Message(arbitration_id=0x700 + NODES[0], is_extended_id=False, is_remote_frame=True))
+    assert next_frame(can_bus, pace, 0x700 + NODES[0]) == b"\x7f", "guarding: Pre-operational"
     assert eight.stop() == 0
     refused = [line for line in eight.lines if "refused" in line]
     assert refused
@@ -211,15 +219,3 @@ def each_gives_its_own_positions(bus: can.BusABC, pace: Pace) -> None:
             positions[can_id - 0x180].append(position)
     assert all(len(set(seen)) == 1 for seen in positions.values()), "they stand still"
     assert len({seen[0] for seen in positions.values()}) == len(INTERFACES), "each where it is"
-
-
-def error_frames_report_bus_off(eight: Process, bus: can.BusABC, pace: Pace) -> None:
-    for error_class, line in ((0x040, "the CAN controller is bus-off"), (0x100, "is on the bus again")):
-        bus.send(
-            can.Message(arbitration_id=error_class, data=bytes(8), is_extended_id=False, is_error_frame=True)
-        )
-        eight.wait_for(line)
-    for data in wait_for(bus, pace, *(0x080 + node for node in NODES)).values():
-        assert data[:2] == b"\x40\x81"
-    bus.send(can.Message(arbitration_id=0x700 + NODES[0], is_extended_id=False, is_remote_frame=True))
-    assert next_frame(bus, pace, 0x700 + NODES[0]) == b"\x7f", "guarding: Pre-operational"

@@ -113,10 +113,7 @@ def restore(options: argparse.Namespace) -> int:
     path = required_file(options.file)
     kept = read_backup(path, ObjectDescriptions(eds_path(EDS), 1), options.force)
     node = options.module or kept.node_id
-    with (
-        node_options.guarded(AFTER_PREOP * options.preop) as guard,
-        node_options.master_of(options) as master,
-    ):
+    with node_options.guarded_master(options, AFTER_PREOP * options.preop) as (master, guard):
         module = NodeAccess(master, node, "module")
         done = restore_backup(
             module,
@@ -129,12 +126,14 @@ def restore(options: argparse.Namespace) -> int:
             preop=options.preop,
             dry_run=options.dry_run,
         )
-    result = restored_result(
-        path,
-        kept,
-        done,
-        ObjectDescriptions(eds_path(EDS), node),
-        preop=options.preop,
-        dry_run=options.dry_run,
+    return node_options.say_result(
+        options,
+        restored_result(
+            path,
+            kept,
+            done,
+            ObjectDescriptions(eds_path(EDS), node),
+            preop=options.preop,
+            dry_run=options.dry_run,
+        ),
     )
-    return node_options.say_result(options, result)

@@ -127,8 +127,7 @@ def monitor(options: argparse.Namespace) -> int:
         if bus is not None:
             watching.opened(bus)
             return 0
-        own_time = None if options.json or options.plain else 1.0
-        watching.log(options.log, options.speed or own_time)
+        watching.log(options.log, options.speed or (None if options.json or options.plain else 1.0))
         if page is not None:
             reader.stopped.wait()
     return 0

@@ -46,11 +46,17 @@ def sync_master(options: argparse.Namespace, config: Config) -> Iterator[tuple[B
 
 
 @contextlib.contextmanager
-def guarded(stays: str = "") -> Iterator[Guard]:
-    """Context of changes to a node: a signal rolls back, except what ``stays``."""
+def guarded_master(options: argparse.Namespace, stays: str = "") -> Iterator[tuple[BusMaster, Guard]]:
+    """Context of changes to a node: a signal rolls back, except what ``stays``, and not once it is done."""
     guard, as_before = Guard(), f"an unfinished change is undone{stays}"
-    with shown_progress(quiet=True, interrupted=as_before), ending_on_signals(guard.interrupt):
-        yield guard
+    with (
+        shown_progress(quiet=True, interrupted=as_before),
+        ending_on_signals(guard.interrupt),
+        contextlib.ExitStack() as closing,
+    ):
+        yield closing.enter_context(master_of(options)), guard
+        with guard.held():
+            closing.close()
 
 
 def say_result(options: argparse.Namespace, result: Result, progress: Progress | None = None) -> int:

@@ -107,6 +107,6 @@ def clear(options: argparse.Namespace) -> int:
 
 
 def _do(options: argparse.Namespace, task: Callable[[TableTasks], Result]) -> int:
-    with node_options.guarded() as guard, node_options.master_of(options) as master:
+    with node_options.guarded_master(options) as (master, guard):
         result = task(TableTasks(NodeAccess(master, options.node, "module"), guard))
     return node_options.say_result(options, result)
