@@ -118,12 +118,12 @@ def test_a_log_can_be_played_at_a_speed_and_pauses_are_passed_over(tmp_path: Pat
 
 def test_a_time_that_is_no_number_is_that_of_the_frame_before(tmp_path: Path) -> None:
     path = tmp_path / "drive.log"
-    times_s = ("5.0", "1e400", "5.2", "1e999", "5.4")
+    times_s = ("5.0", "1e400", "5.2", "1e999", "5.4", "1e17")
     path.write_text("".join(f"({time_s}) can0 1A0#{position(1).hex()}\n" for time_s in times_s))
     monitor = Monitor()
     monitor.watching.log(path)
     assert monitor.shown[-1].time_s == pytest.approx(0.4)
-    assert [at for at, _ in MessageReader().log(path)] == pytest.approx([0.0, 0.0, 0.2, 0.2, 0.4])
+    assert [at for at, _ in MessageReader().log(path)] == pytest.approx([0.0, 0.0, 0.2, 0.2, 0.4, 0.4])
 
 
 @pytest.mark.parametrize(("name", "text"), [("drive.log", "no frame in it"), ("drive.asc", "; 1 damaged")])

@@ -20,7 +20,6 @@ from canfb.logfile.log_files import LogError
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import ModuleReading, Recognition, assumed_objects
 from canfb.monitoring.snapshot import BusSnapshot
-from canfb.rows import finite
 from canfb.view.module_view import Read
 
 log = logging.getLogger(__name__)
@@ -74,7 +73,8 @@ class MessageReader:
         stamp = 0.0
         log_file = BusLogFile(path, others=True)
         for frame in log_file:
-            stamp = finite(frame.timestamp or stamp) or stamp  # NaN: keep the last stamp
+            given = frame.timestamp or stamp
+            stamp = given if given + LEAST_WAIT_S > given else stamp  # NaN or out of range: the last
             began = stamp if began is None else began
             if self.stopped.is_set() or (self._seconds is not None and stamp - began > self._seconds):
                 return
