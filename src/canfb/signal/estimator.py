@@ -150,9 +150,8 @@ class Estimator:
         self._forget()
         self.places.append((before.cycles, before.phase, 1.0))
         self.places.append((last.cycles, last.phase, elapsed))
-        gap = self.tracker.gap
-        if gap and not self.lost:  # the samples since the last one that was counted are as missing ones
-            self._doubted().skip(gap, flagged=True)
+        if self.tracker.gap and not self.lost:  # the samples in it were not counted
+            self._doubted().skip(self.tracker.gap, flagged=True)
 
     def rescale(self, factor: float) -> None:
         self.tracker.rescale(factor)
@@ -200,12 +199,10 @@ class Estimator:
 
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """Take a sample that passed its checks: position and bits VALID, COASTING, LOST, RESIDUAL."""
-        if self._follows_speeds(elapsed):
-            return self._by_speed(phase, elapsed)
-        return self._taken(phase, elapsed)
-
-    def _by_speed(self, phase: float, elapsed: float) -> tuple[Track, int]:
+        follows_speeds = self._follows_speeds(elapsed)
         track, bits = self._taken(phase, elapsed)
+        if not follows_speeds:
+            return track, bits
         count = None if self._doubt else self.tracker.cycles
         verdict = self._speeds.take(phase, elapsed, self.lost, count)
         if verdict is SpeedVerdict.FALSE_START:
