@@ -1,7 +1,5 @@
 """Commands of canfb in this process, the files that they are given, and what they say."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

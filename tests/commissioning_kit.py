@@ -1,7 +1,5 @@
 """A module, an encoder interface and a SYNC in simulated time, and the master that commissions them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Settings for all tests, and a bus for those with several processes."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import os

@@ -1,7 +1,5 @@
 """Pages of the documentation, and the marked blocks in them that tests run."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An EDS file as text and, for its objects, as python canopen reads it."""
 
-from __future__ import annotations
-
 import configparser
 import io
 import re

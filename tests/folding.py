@@ -1,7 +1,5 @@
 """Many cases of one statement as one test: what pytest does around a test would cost more than the cases."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import itertools

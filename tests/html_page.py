@@ -1,7 +1,5 @@
 """A page or a picture as tests read it."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
 
 VOID = {"meta", "path", "br", "circle", "rect"}

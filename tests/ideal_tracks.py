@@ -1,7 +1,5 @@
 """Samples of an ideal encoder, a correction table that no encoder needs, and stages without the short way."""
 
-from __future__ import annotations
-
 import math
 import struct
 

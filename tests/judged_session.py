@@ -5,8 +5,6 @@ machine stalls for longer, or again before the position is back. Then the positi
 valid and wrong. That it is kept is proven in simulated time, too (tests/cli/test_readme_commands.py).
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Simulated machines for canfb commission: their truth, their samples, and what a module says of them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

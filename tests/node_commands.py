@@ -1,7 +1,5 @@
 """The commands that speak to one node, on the bench in place of a bus; and what spoils their requests."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import struct

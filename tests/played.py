@@ -1,7 +1,5 @@
 """Sources of samples, and senders of frames, as a test lists them."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """Commands as processes of their own: what they say, how they end, and that nothing of them is left."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

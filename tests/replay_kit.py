@@ -1,7 +1,5 @@
 """A module as `canfb run` serves it, on a bus that notes every frame: the live side of a replay."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Sequence

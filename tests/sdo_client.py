@@ -1,7 +1,5 @@
 """Whole SDO transfers as a client makes them, by segments and by block, in which frames may be lost."""
 
-from __future__ import annotations
-
 import binascii
 from collections.abc import Callable, Container, Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Moves of a servo, limited in jerk; and the table of an encoder whose tracks are ideal."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

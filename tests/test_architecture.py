@@ -1,7 +1,5 @@
 """docs/architecture.md: its rooms, its arrows and its files are those of the code."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The YAML of the commands: what is right loads, what is wrong gets one line with file, line and key."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

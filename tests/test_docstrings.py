@@ -1,7 +1,5 @@
 """What users reach from canfb.__all__ is documented: every name, every field, every parameter."""
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import inspect

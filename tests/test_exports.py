@@ -1,7 +1,5 @@
 """What `import canfb` gives, and `python -m canfb`."""
 
-from __future__ import annotations
-
 import inspect
 from importlib.metadata import version
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Folded cases: each is tried, and a failing one is named."""
 
-from __future__ import annotations
-
 import inspect
 
 import pytest

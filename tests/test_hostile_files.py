@@ -1,7 +1,5 @@
 """Files that a fuzzer made: each is refused in one line, or read without what is damaged."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from pathlib import Path

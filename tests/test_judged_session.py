@@ -1,7 +1,5 @@
 """The judge of a session: it finds what is wrong or lost, and nothing else."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest

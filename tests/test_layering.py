@@ -1,7 +1,5 @@
 """The house as the design has it: imports point one way, time is an argument, files stay small."""
 
-from __future__ import annotations
-
 import ast
 import sys
 from dataclasses import dataclass

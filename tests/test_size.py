@@ -1,7 +1,5 @@
 """Each room stays within its budget, which only falls (budget.toml)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tools.suite import size

@@ -1,7 +1,5 @@
 """What is loaded when: `import canfb` and a command load what they use, and no more."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is wrong with a configuration gets one line with file, line and key."""
 
-from __future__ import annotations
-
 import pytest
 
 from canfb.configuration import parse_config

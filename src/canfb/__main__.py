@@ -1,8 +1,6 @@
 # PYTHON_ARGCOMPLETE_OK: argcomplete looks for it here
 """``python -m canfb``: the command line."""
 
-from __future__ import annotations
-
 import sys
 
 from canfb.cli.main import main

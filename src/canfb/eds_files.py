@@ -3,8 +3,6 @@
 They live in the folder eds/ of the repository and are part of the wheel as canfb/eds/.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from canfb.errors import CanfbError

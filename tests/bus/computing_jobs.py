@@ -1,7 +1,5 @@
 """Jobs for another process; it imports them by this name."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

@@ -1,7 +1,5 @@
 """Long computations: in another process, never waited for, never left behind."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

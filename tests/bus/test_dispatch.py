@@ -1,7 +1,5 @@
 """A module that gets only the frames it listens to does what one does that gets them all."""
 
-from __future__ import annotations
-
 import struct
 from collections import Counter, deque
 from collections.abc import Callable, Iterable

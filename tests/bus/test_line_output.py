@@ -1,7 +1,5 @@
 """Lines to a pipe that nobody reads: the writer goes on, and the reader gets them all later, in order."""
 
-from __future__ import annotations
-
 import errno
 import os
 import select

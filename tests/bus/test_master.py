@@ -1,7 +1,5 @@
 """The master on a bus, alone or shared: what it hears and sends, failures, and turns of SDO clients."""
 
-from __future__ import annotations
-
 import contextlib
 import queue
 import re

@@ -1,7 +1,5 @@
 """Opening a bus: python-can's own words in, a bus or one clear line out."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

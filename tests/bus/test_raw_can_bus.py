@@ -1,7 +1,5 @@
 """The SocketCAN of our own on a pair of sockets: queues, filters, and receive times on the runner's clock."""
 
-from __future__ import annotations
-
 import errno
 import math
 import os

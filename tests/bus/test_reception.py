@@ -1,7 +1,5 @@
 """Receiving that outlasts its interface: which failures are waited for, and what is said."""
 
-from __future__ import annotations
-
 import errno
 import socket
 from pathlib import Path

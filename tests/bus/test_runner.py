@@ -1,7 +1,5 @@
 """The runner on a bus that is not there, or off, or down, in a time that does not pass by itself."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import math

@@ -1,7 +1,5 @@
 """`canfb calibrate` on a bench, and what the position of its module is worth."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One measurement, calculated once: many tests only need that there is one."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

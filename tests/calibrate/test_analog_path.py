@@ -1,7 +1,5 @@
 """The analog path: `canfb calibrate --speeds` finds it; 2002:06, 2002:07, 2001:05 outlive what follows."""
 
-from __future__ import annotations
-
 import io
 import math
 from functools import cache

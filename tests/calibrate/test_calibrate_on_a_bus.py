@@ -1,7 +1,5 @@
 """`canfb calibrate` as a whole on an in-process bus, with encoders drawn at random."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """The report stands alone, says what it must and where it is from; its pictures hold what was measured."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The guide pages: each `canfb` command runs, in the order of its page; those that do not are listed here."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import re

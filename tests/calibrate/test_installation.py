@@ -1,7 +1,5 @@
 """Upload, proof on fresh samples, saving: all of it, or the module is as before, if the terminal goes."""
 
-from __future__ import annotations
-
 import io
 import os
 import pty

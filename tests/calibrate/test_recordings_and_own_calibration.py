@@ -1,7 +1,5 @@
 """Where `canfb calibrate` has its samples from: PDOs, 2050h of module and interface, 2030h of the module."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

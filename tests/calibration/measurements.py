@@ -1,7 +1,5 @@
 """Simulated reference measurements with a known truth, for the tests of this folder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Right tables by both methods, which say the truth of themselves; a bad measurement is refused with why."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How far an encoder is from the table in force, exactly; and tracks that change during a measurement."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """One encoder at several speeds: table, delay and corners, and how uncertain they are."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 The file is not part of the repository; where it is absent, these tests are skipped.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From samples to positions: what was recorded, its motion however its times are, and the blocks of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st

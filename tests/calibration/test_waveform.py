@@ -1,7 +1,5 @@
 """The tracks of an encoder as a waveform with its table, and as an ellipse with its conditioning."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

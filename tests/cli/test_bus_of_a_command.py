@@ -1,7 +1,5 @@
 """Which bus a command opens, what it says without any, and what `canfb node` sends on it."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from collections.abc import Callable

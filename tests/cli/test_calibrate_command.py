@@ -1,7 +1,5 @@
 """`canfb calibrate`: options that cannot be, samples of files, tables of files, a bus that is not there."""
 
-from __future__ import annotations
-
 import io
 import signal
 from datetime import datetime

@@ -1,7 +1,5 @@
 """The table of commands, their help and its examples, and what older lines are called now."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

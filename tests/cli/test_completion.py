@@ -1,7 +1,5 @@
 """Completion in a shell: what canfb answers, and what bash makes of it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

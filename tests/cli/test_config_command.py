@@ -1,7 +1,5 @@
 """`canfb config`: its example, what is wrong, also for this machine; a DCF, and docs/storage.md."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The command line as a whole: exit codes, one line for an error, --debug; a reader that stops or goes."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import logging

@@ -1,7 +1,5 @@
 """`canfb monitor`: JSON, lines, frames and the page, in a terminal or a browser, of a log and of a bus."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import signal

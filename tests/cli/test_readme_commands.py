@@ -1,7 +1,5 @@
 """What README, first hour and simulation page have to paste, without a vcan: Python, commands, recording."""
 
-from __future__ import annotations
-
 import struct
 import sys
 import time

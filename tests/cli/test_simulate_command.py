@@ -1,7 +1,5 @@
 """`canfb simulate`: a motion, a recording, a drive, several samples for each SYNC."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``canfb try``: what it prints, what another terminal can do with it, and that nothing of it is left."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import json

@@ -1,7 +1,5 @@
 """What is refused, in one line that says why: exit code 2 for wrong use, 1 for what fails."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

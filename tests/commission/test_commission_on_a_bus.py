@@ -1,7 +1,5 @@
 """`canfb commission` as a whole on an in-process bus, and its commands in docs/plan.md."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -1,7 +1,5 @@
 """Limits from simulated machines: they hold, they detect, and they are near what the machine really does."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

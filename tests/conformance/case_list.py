@@ -1,7 +1,5 @@
 """The cases of the list, by group, and how their numbers stand in the names of the tests."""
 
-from __future__ import annotations
-
 import re
 
 GROUPS = {

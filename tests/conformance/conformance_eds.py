@@ -1,7 +1,5 @@
 """What the EDS files say, as python canopen reads them: independent of the loader of the device."""
 
-from __future__ import annotations
-
 from canopen.objectdictionary import ODVariable
 
 from eds_text import eds_of

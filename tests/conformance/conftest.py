@@ -1,7 +1,5 @@
 """A test with the argument `tester` runs on each device that its case applies to."""
 
-from __future__ import annotations
-
 import pytest
 from case_list import cases_of
 from conformance_kit import DEVICES, MODULE, Tester, make_tester

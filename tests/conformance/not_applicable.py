@@ -4,8 +4,6 @@
 them, the case is asked for.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from conformance_kit import INTERFACE, MODULE

@@ -1,7 +1,5 @@
 """Beyond 11 to 24; saved values of 13 and 19 stand with saving and restoring."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

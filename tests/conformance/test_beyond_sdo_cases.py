@@ -1,7 +1,5 @@
 """Beyond 01 to 10: what an SDO server does with clients that go wrong."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest

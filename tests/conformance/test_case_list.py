@@ -1,7 +1,5 @@
 """Every case of the list is a test or has a reason why not, for each device."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """EMCY 01 to 06 and SYNC 01 to 09; SYNC 08 and 10 stand with saving and restoring."""
 
-from __future__ import annotations
-
 import pytest
 from conformance_kit import RPDO1, SYNC, G, Tester, filled, only
 

@@ -1,7 +1,5 @@
 """Guard 01 to 06, HB 01 to 07, HvG 01 to 07; State 03 where guarding fails."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

@@ -1,7 +1,5 @@
 """The cases that are requests one by one, each with its answer."""
 
-from __future__ import annotations
-
 from conformance_kit import COMMAND, NO_INDEX, NO_SUB, NO_WRITE, G, Tester, filled, hexes, little
 
 OK = "60"

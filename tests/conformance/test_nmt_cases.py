@@ -1,7 +1,5 @@
 """State 01 to 04 and Trans 01 to 04."""
 
-from __future__ import annotations
-
 from random import Random
 
 import pytest

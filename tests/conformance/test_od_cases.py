@@ -1,7 +1,5 @@
 """EDS 01 and OD 01 to OD 09: every object of the EDS answers as the EDS says."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """PDO 01 to PDO 20: parameters, and when a TPDO is sent, by type and NMT state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any

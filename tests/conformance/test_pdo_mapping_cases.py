@@ -1,7 +1,5 @@
 """PDO 21 to PDO 33: mapping."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import pytest

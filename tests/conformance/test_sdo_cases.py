@@ -1,7 +1,5 @@
 """SDO 01 to SDO 30; those of single requests stand with the exchanges, 04 and 13 with OD 04 and 02."""
 
-from __future__ import annotations
-
 import pytest
 from conformance_kit import HEARTBEAT, NAME, NO_INDEX, SAVE, G, Tester, filled, hexes, m
 

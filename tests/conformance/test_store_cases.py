@@ -1,7 +1,5 @@
 """Group Other, and the cases of SYNC and Beyond in which parameters are saved."""
 
-from __future__ import annotations
-
 import pytest
 from conformance_kit import LOAD, SAVE, WRONG, Tester, little, m, only
 

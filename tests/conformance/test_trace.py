@@ -1,7 +1,5 @@
 """A whole session as a candump log, decoded by Wireshark's CANopen dissector: nothing is malformed."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

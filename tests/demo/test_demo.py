@@ -1,7 +1,5 @@
 """`canfb demo`: its story holds, its figures are those to expect, its pictures show it; a move of a servo."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """A small EDS of a device with every service, written out by a table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 HEAD = """[FileInfo]

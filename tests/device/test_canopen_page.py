@@ -1,7 +1,5 @@
 """docs/canopen.md: its examples run, and its codes are those of the program."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

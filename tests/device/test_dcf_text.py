@@ -1,7 +1,5 @@
 """A DCF from an EDS: where the values stand, how they are written; and the concise one of CiA 302-3."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Dictionaries of EDS: what is read of the file, however it looks, what is refused, and what is shared."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frames of a program are checked, and receive times that a clock cannot have are not used."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import pytest

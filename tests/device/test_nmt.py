@@ -1,7 +1,5 @@
 """NMT states, start-up and what a node drops; the cases State and Trans are in tests/conformance."""
 
-from __future__ import annotations
-
 from collections import deque
 from math import inf, nan
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The node against a model: whatever comes in whatever order, it stays in the states that CiA 301 has."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Mapped data as bytes; and parameters of a PDO, which go in any order while it is not valid."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from operator import getitem

@@ -1,7 +1,5 @@
 """PDOs: lengths, time-out, mapping; what an event, a remote frame and the timers send, against a model."""
 
-from __future__ import annotations
-
 from math import inf
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 and hostile clients are in tests/tools/test_fuzz.py.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

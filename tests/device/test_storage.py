@@ -1,7 +1,5 @@
 """Parameters that are saved: what comes back when, and none of a group that must not; any may be, whole."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """SYNC and TIME, beyond the cases SYNC and Beyond 17, 18 of tests/conformance."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import inf
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A store that writes in the background: the node goes on, and answers when the values are kept."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Frames in words, and `canfb node list`: who is there, and nothing that harms anybody."""
 
-from __future__ import annotations
-
 import contextlib
 import struct
 from collections import Counter

@@ -1,7 +1,5 @@
 """`canfb why`: what a module says of its last loss, what brings it back; and the file of --bundle."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

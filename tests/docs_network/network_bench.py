@@ -1,7 +1,5 @@
 """A small network file and its nodes on an embedded bus, with python canopen as master."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The drive network of docs/drive-network in simulated time, with the master of the example."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """docs/attach.md: its claims about CAN-IDs and ages of positions are tried, its examples are run."""
 
-from __future__ import annotations
-
 import random
 import re
 import struct

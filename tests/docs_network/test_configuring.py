@@ -1,7 +1,5 @@
 """docs/drive-network: what network_file.py reads and refuses, and configuring.py against our devices."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import configuring

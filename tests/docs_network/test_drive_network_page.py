@@ -1,7 +1,5 @@
 """docs/drive-network/README.md: output, keys and figures are those of the program; and without SocketCAN."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shutil

@@ -1,7 +1,5 @@
 """docs/drive-network/master.py on an embedded bus: moves, alarm, a slip, and how it leaves the bus."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import re

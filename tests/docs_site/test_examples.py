@@ -4,8 +4,6 @@ Tests of single pages run their examples; the reference pages, which have every 
 made of the code (test_made_pages.py).
 """
 
-from __future__ import annotations
-
 import asyncio
 import re
 import struct

@@ -1,7 +1,5 @@
 """The pages made of the code: every object, key, command and name is there, with what belongs to it."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import re

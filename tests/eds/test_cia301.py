@@ -3,8 +3,6 @@
 Each rule is a function that yields what is wrong, and finds the fault that is planted for it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from datetime import datetime

@@ -1,7 +1,5 @@
 """The EDS files and the code that serves them: neither has an object that the other does not know."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path

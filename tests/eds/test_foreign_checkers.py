@@ -1,7 +1,5 @@
 """What the checkers of others say of our EDS files: nothing, but what stands in KNOWN."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

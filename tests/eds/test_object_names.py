@@ -1,7 +1,5 @@
 """canfb.objects against the EDS files: each name is the object that its words say."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import fields
 from typing import NamedTuple

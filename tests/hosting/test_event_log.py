@@ -1,7 +1,5 @@
 """Events as lines: with time and node, few of many, and as JSON for programs."""
 
-from __future__ import annotations
-
 import json
 import logging
 import re

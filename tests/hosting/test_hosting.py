@@ -1,7 +1,5 @@
 """Modules of a configuration in a program of one's own: its log has what `canfb run` prints."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

@@ -1,7 +1,5 @@
 """`canfb run` with eight modules in one process, in a time that is not there; docs/attach.md has some too."""
 
-from __future__ import annotations
-
 import math
 import re
 import signal

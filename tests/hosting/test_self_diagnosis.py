@@ -1,7 +1,5 @@
 """A diagnosis of the running process: what is in it, that no frame waits for it, and SIGUSR1."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

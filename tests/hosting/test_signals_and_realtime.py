@@ -1,7 +1,5 @@
 """What the process asks of the system, and tells it: signals, scheduling, memory, processor, readiness."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

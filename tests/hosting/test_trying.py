@@ -1,7 +1,5 @@
 """The network of canfb try: in simulated time, on a bus that others can open."""
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The encoder interface on the bus: its PDOs for each SYNC in OPERATIONAL, none otherwise; what they hold."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import struct

@@ -1,7 +1,5 @@
 """Encoder interface, simulation, local ADC: tables of their pages by formula and program; ``interfaces:``."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

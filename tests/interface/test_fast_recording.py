@@ -1,7 +1,5 @@
 """2050h of the encoder interface, by python canopen's block upload: the paper's reference measurement."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import canopen

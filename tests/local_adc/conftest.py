@@ -1,7 +1,5 @@
 """An emulated ADC behind an IIOD server, for the real libiio."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -5,8 +5,6 @@ number, a line of its own: 0, a length, or the negative errno. `READBUF` answers
 the channels and the data.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import queue

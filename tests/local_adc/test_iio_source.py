@@ -1,7 +1,5 @@
 """The source of kind iio: libiio and its Python binding, with an emulated ADC behind them."""
 
-from __future__ import annotations
-
 import errno
 import re
 import threading

@@ -1,7 +1,5 @@
 """An emulated ADC behind `canfb run`, modules and interfaces: positions against the truth, faults, clocks."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import re

@@ -1,7 +1,5 @@
 """`canfb log record`: what a bus gave stands in the log, in each format, however the recording ends."""
 
-from __future__ import annotations
-
 import errno
 import signal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Bus logs as people have them: the frames of python-can where it reads them, and what is odd or damaged."""
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 from base64 import b64encode

@@ -1,7 +1,5 @@
 """`canfb log replay` of a log or of a folder, and docs/monitor.md: text, JSON, files and a page."""
 
-from __future__ import annotations
-
 import csv
 import importlib
 import math

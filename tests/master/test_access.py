@@ -1,7 +1,5 @@
 """Objects over SDO: block transfer where there is one, segments else; every failure one clear line."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

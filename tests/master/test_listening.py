@@ -1,7 +1,5 @@
 """Samples of the ADC PDO, SYNC by SYNC, with their times, and what is said when they do not come."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

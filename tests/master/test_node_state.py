@@ -1,7 +1,5 @@
 """The NMT state of a node that answers SDO, its restart; and `canfb node reset`, at standstill only."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable

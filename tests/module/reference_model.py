@@ -8,8 +8,6 @@ It knows prediction by eq. 9, the checks of one sample, missing and flagged samp
 (residual over the limit) in a run of good samples, coasting and loss. What is beyond that raises `Beyond`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace

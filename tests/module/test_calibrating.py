@@ -1,7 +1,5 @@
 """Object 2030h: the module measures its own reference, and goes on publishing."""
 
-from __future__ import annotations
-
 import functools
 import math
 import struct

@@ -1,7 +1,5 @@
 """Object 2002h: drifting tracks are followed, shown and kept; the delays of the analog path are removed."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

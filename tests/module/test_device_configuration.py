@@ -1,7 +1,5 @@
 """The configuration of a module, loaded into others: whatever they held before, they are that module then."""
 
-from __future__ import annotations
-
 import struct
 import sys
 import zlib

@@ -1,7 +1,5 @@
 """What happens is told as events, each once, with its reason; 2012:10..16: why the position was lost last."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """How old a position is when it is sent, by transmission types; and 2013h, which predicts it at its SYNC."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A module that samples itself: one sample of its source at each SYNC, whatever the source does."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

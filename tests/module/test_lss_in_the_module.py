@@ -1,7 +1,5 @@
 """Modules under an LSS master that gives node-IDs, and changes the bit rate: silent about the switch."""
 
-from __future__ import annotations
-
 import canopen
 import canopen.lss
 import pytest

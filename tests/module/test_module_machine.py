@@ -6,8 +6,6 @@ is that of the model; after a pause, which it does not know, a valid position is
 is valid.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections import Counter

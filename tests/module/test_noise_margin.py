@@ -1,7 +1,5 @@
 """2010:09: a limit by the measured noise is sharp, never looser than the fixed one, and follows no fault."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

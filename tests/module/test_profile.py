@@ -1,7 +1,5 @@
 """6000h to 600Ch, 6030h, 6040h and 6509h, cams and the work area: against models in plain integers."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass, field
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Objects 6503h to 6506h and 2004h: alarms, warnings and their EMCY; what docs/encoder-profile.md has."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

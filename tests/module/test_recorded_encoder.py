@@ -1,7 +1,5 @@
 """The tracks of a real encoder, played SYNC by SYNC, tracked by the module, compared with their own index."""
 
-from __future__ import annotations
-
 import math
 import os
 import struct

@@ -1,7 +1,5 @@
 """Object 2050h of the module: what comes is kept, and nothing else changes."""
 
-from __future__ import annotations
-
 import struct
 
 from hypothesis import example, given, strategies as st

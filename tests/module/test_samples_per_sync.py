@@ -1,7 +1,5 @@
 """Several samples for each SYNC, from the encoder interface to the position, on a bus with jitter."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

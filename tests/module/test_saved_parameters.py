@@ -1,7 +1,5 @@
 """What `save` keeps of a module, over a reset and a power-off; docs/storage.md; the hours of 6508h."""
 
-from __future__ import annotations
-
 import errno
 import re
 from collections.abc import Mapping

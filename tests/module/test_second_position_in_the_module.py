@@ -1,7 +1,5 @@
 """2000:0E and 2014h through the module: pairing by SYNC, status bit, counter, EMCY, event."""
 
-from __future__ import annotations
-
 import math
 import struct
 from typing import Any

@@ -1,7 +1,5 @@
 """Object 2020h: tables, staged and in force."""
 
-from __future__ import annotations
-
 import math
 import struct
 

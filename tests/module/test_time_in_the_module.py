@@ -1,7 +1,5 @@
 """Time as the module sees it: frames with receive times, late, missing or twice; nothing wrong is valid."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

@@ -1,7 +1,5 @@
 """Late, uneven and missing frames, on a desktop and at starts in motion: nothing that is valid is wrong."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

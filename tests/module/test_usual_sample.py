@@ -1,7 +1,5 @@
 """A sample in one piece, the same as part by part; parts of two samples, which make no valid one."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

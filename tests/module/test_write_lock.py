@@ -1,7 +1,5 @@
 """2040h: what is refused while the module is locked, what is not, and what unlocks it."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the monitor makes of the frames of real devices is what these devices hold; rate, jitter and load."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

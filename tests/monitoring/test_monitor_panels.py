@@ -1,7 +1,5 @@
 """The page of the monitor says what the snapshot holds; docs/monitor.md shows it."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import struct

@@ -1,7 +1,5 @@
 """The monitor at a bus and at a log: snapshots in time, nothing sent unless asked, and then what changes."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A plan from a few words."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

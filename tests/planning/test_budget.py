@@ -1,7 +1,5 @@
 """The limits of motion and analog path: eq. 10, eq. 12, those that others print, and what to change first."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

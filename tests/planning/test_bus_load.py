@@ -1,7 +1,5 @@
 """The worst-case load of a bus: frames as an independent count of their bits has them, rates by their PDO."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """`canfb plan`, the commands of docs/plan.md; diagnostic coverage against docs/evidence.md."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

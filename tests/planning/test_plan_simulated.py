@@ -1,7 +1,5 @@
 """A plan at its own limits, in simulated time: 0.95 of each holds, 1.05 does not; also of several samples."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """What a module sent live, the replay of the log sends again, byte for byte; margins of several samples."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

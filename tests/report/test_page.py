@@ -1,7 +1,5 @@
 """Pages, plots and pictures: they escape what they are given, stand alone, and hold what was measured."""
 
-from __future__ import annotations
-
 import re
 from xml.etree import ElementTree
 

@@ -1,7 +1,5 @@
 """The page in a real browser: each picture is drawn, it follows the module, and only this server is asked."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import json

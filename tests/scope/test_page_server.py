@@ -1,7 +1,5 @@
 """The page: its server, what a peer can do to it, and what its pictures are drawn from."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import json

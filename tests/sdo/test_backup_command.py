@@ -1,7 +1,5 @@
 """`canfb backup` and docs/storage.md: what is written is proven, or all is as it was before."""
 
-from __future__ import annotations
-
 import contextlib
 import tempfile
 from collections.abc import Callable

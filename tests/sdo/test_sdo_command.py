@@ -1,7 +1,5 @@
 """`canfb sdo`: objects by name and number, values by the EDS, aborts in words; and docs/monitor.md."""
 
-from __future__ import annotations
-
 import math
 import re
 from decimal import Decimal

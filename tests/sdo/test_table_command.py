@@ -1,7 +1,5 @@
 """`canfb table` and docs/storage.md: from a file to the module and back; what fails leaves it as it was."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """Offset, gain and phase of the tracks are followed: slowly, within bounds, and from good samples only."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import replace

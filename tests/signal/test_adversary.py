@@ -7,8 +7,6 @@ sensor. With one that the tracks cannot show, it is reported within a stated num
 Then a machine with coarse track, zero pulse and second position in any combination, whose tracks die.
 """
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Iterator

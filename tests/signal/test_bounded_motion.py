@@ -5,8 +5,6 @@ oracle, the enumeration of all motions over small grids, with the bounds of docs
 generator of the campaigns.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import product
 

@@ -1,7 +1,5 @@
 """The chain at gaps, bad parameters and pauses."""
 
-from __future__ import annotations
-
 import math
 import random
 from typing import Any

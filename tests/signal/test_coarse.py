@@ -1,7 +1,5 @@
 """The coarse track: its limit and hysteresis, the search for lost ranges of speed, lost counts set right."""
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -1,7 +1,5 @@
 """Correction tables, a whole calibration in place of its table, and tracks that begin in motion."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What the estimator does at a start, while it coasts, at a loss, and with what is known from outside."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

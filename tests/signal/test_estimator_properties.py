@@ -4,8 +4,6 @@ Through the public interface of the chain only: episodes of tools/faults/samples
 motion of a small grid.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -1,7 +1,5 @@
 """What the analog path does at speed: a delay between the tracks, less amplitude, other harmonics."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """2013:02: positions belong to the SYNC without its jitter, by the sample times."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

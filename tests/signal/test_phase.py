@@ -1,7 +1,5 @@
 """The phase of a sample, and which tracks the library takes and refuses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """The reference and the zero pulse: what it forgets and when, its instant, its wrap at the revolution."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

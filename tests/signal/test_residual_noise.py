@@ -1,7 +1,5 @@
 """The measured noise of the residual: right within any motion, and never widened by a fault."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

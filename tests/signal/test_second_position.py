@@ -1,7 +1,5 @@
 """A second position: its increments against exact fractions, and what it finds and costs in the chain."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """Several samples in one interval of SYNC: the same bits as one after the other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

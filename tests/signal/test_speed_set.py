@@ -3,8 +3,6 @@
 The machine accelerates and errs as much as is declared, at random; rows of samples are bad or missed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from unittest.mock import Mock

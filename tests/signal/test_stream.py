@@ -1,7 +1,5 @@
 """Streams and arrays against single samples, bit for bit, with blocks so short that every seam is met."""
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from collections.abc import Callable, Iterator

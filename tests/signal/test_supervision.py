@@ -1,7 +1,5 @@
 """The checks of samples at their limits, and that each fault shows where it is and nowhere else."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Sample times of the encoder interface: which are taken, and by what they are judged."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

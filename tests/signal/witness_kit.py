@@ -1,7 +1,5 @@
 """A chain on a machine with the witnesses it has: exact samples, the truth, status words as lists."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

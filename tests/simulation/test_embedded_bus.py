@@ -1,7 +1,5 @@
 """The bus inside the process, the producers of its SYNC, and the time of a machine in slow motion."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import statistics

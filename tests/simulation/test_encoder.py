@@ -1,7 +1,5 @@
 """The simulated encoder and its analog path against their formulas, and each fault of its counts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Motions and what they ask of the module; a machine that stops and starts, and what was sampled of it."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

@@ -1,7 +1,5 @@
 """What no encoder, bus, fault or machine can have is refused by its name."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ Run them with `make socketcan`, or `python -m tools.vcan run -- .venv/bin/python
 They wait for what happens on the bus, and every limit comes from what this machine can do: pace.py.
 """
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 from collections.abc import Iterator

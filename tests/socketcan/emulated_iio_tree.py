@@ -8,8 +8,6 @@ sysfs trigger gives one scan of a machine whose position everybody knows. By the
 so many milliseconds apart, whatever the time is.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import struct

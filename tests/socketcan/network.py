@@ -1,7 +1,5 @@
 """What the tests on a real bus share: a configuration, a SYNC, waiting for frames, a master."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -7,8 +7,6 @@ period with each SYNC (`pace: sync`), and its samples say so (`times: true`). A 
 is one, and takes its rate from here.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -3,8 +3,6 @@
 All cases run without a bus in tests/conformance; here it is python canopen, and can-utils alone.
 """
 
-from __future__ import annotations
-
 import subprocess
 import time
 from collections.abc import Callable, Iterator

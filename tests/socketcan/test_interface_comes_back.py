@@ -4,8 +4,6 @@ And `canfb run` without it: at its start, with the link down, and where it comes
 is bound to an interface that is down: it hears the first frame that is sent when it is up.
 """
 
-from __future__ import annotations
-
 import contextlib
 import struct
 import subprocess

@@ -1,7 +1,5 @@
 """`canfb run` with an ADC of libiio's local backend: for `canfb run`, and for python canopen."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

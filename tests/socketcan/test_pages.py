@@ -1,7 +1,5 @@
 """The first session of docs/vcan.md, the master of docs/first-hour.md, docs/drive-network as it stands."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

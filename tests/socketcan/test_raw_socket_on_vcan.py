@@ -1,7 +1,5 @@
 """The SocketCAN of our own on a real interface: what the kernel filters, stamps and reports."""
 
-from __future__ import annotations
-
 import errno
 import subprocess
 import threading

@@ -1,7 +1,5 @@
 """`canfb run` and `canfb simulate` on a real bus, and several modules in one process."""
 
-from __future__ import annotations
-
 import queue
 import re
 import signal

@@ -1,7 +1,5 @@
 """Tasks over a real bus, each command a process: calibrate, backup and restore, DCF, record and replay."""
 
-from __future__ import annotations
-
 import json
 import signal
 import zlib

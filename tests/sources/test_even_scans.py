@@ -1,7 +1,5 @@
 """Scans on a grid that is locked to SYNC: equidistant samples, whatever the SYNC and the program do."""
 
-from __future__ import annotations
-
 import itertools
 import random
 from collections.abc import Iterable, Sequence

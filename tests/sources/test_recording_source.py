@@ -1,7 +1,5 @@
 """Recordings: rows, columns, gaps, and what is wrong with a file."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`source:` of a module: what is right loads and opens, what is wrong gets one line; a kind is one file."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import math

@@ -1,7 +1,5 @@
 """The grid, whatever the jitter of its instants; SYNCs by it or by their order; which one a PDO answers."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

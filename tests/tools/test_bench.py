@@ -1,7 +1,5 @@
 """tools/bench: each piece of work does what it is compared for; the bus, its load and the picture."""
 
-from __future__ import annotations
-
 import re
 from xml.etree import ElementTree
 

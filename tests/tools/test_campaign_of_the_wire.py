@@ -1,7 +1,5 @@
 """The wire campaign in a small variant: its judge sees what is planted, its wire is what it says."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 

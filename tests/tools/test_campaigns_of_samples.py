@@ -1,7 +1,5 @@
 """The campaigns of the tracks and of the cycle count: their goals hold, their judges see what is planted."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

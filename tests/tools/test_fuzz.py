@@ -1,7 +1,5 @@
 """The fuzzer without its engine: kept, random and changed inputs, and each check does find its fault."""
 
-from __future__ import annotations
-
 import os
 import tracemalloc
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The claims of the paper in short runs: each holds, and its figures are neither worse nor too good."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The soak in its short form, and that it would see what it is to see."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """tools/suite: what package.py finds in an sdist and a wheel, what mutate.py changes and reports."""
 
-from __future__ import annotations
-
 import ast
 import io
 import os

@@ -1,7 +1,5 @@
 """tools/systemd and docs/service.md: files that systemd accepts, and a page that names what is there."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

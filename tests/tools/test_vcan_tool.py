@@ -1,7 +1,5 @@
 """Programs that are started: parts of tools/vcan without user-mode Linux, and the processes of the tests."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -7,8 +7,6 @@ answers SYNC and ADC PDO with an angle and does nothing else: the time that mach
 line with READY when it is on the bus.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import logging

@@ -5,8 +5,6 @@ sockets is taken just before the call; on SocketCAN the frame is received back w
 Frames of the node have the time of the kernel on both.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import select

@@ -7,8 +7,6 @@ all values, and `python -m pyperf compare_to BEFORE AFTER` compares two versions
 the process. The ratios of the medians come last. --check: exit status 1 when a goal is missed.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import struct

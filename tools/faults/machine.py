@@ -6,8 +6,6 @@ between nominal instants, so that every divided difference is within the bound.
 :class:`Motion` is a position at any time. Speeds are cycles per interval T, accelerations cycles/T^2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache

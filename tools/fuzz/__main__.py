@@ -10,8 +10,6 @@ kept in build/fuzz/TARGET, where the next run begins. Useful options: -max_total
 build/fuzz-TARGET-crash-...
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import hashlib

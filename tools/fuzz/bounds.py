@@ -3,8 +3,6 @@
 Time is processor time, which does not depend on other work of the computer.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -4,8 +4,6 @@ A reader returns for a file that it accepts, and otherwise raises one of its ref
 The initial inputs are small files written by the program itself, or from eds/ and docs/.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import re

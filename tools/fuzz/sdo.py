@@ -1,7 +1,5 @@
 """SDO as observed on the bus (CiA 301, 7.2.4.3): permitted answers of a server; a client that continues."""
 
-from __future__ import annotations
-
 from binascii import crc_hqx
 
 from canfb.cia301.codes import AbortCode

@@ -1,7 +1,5 @@
 """One claim of the paper: the result here, and whether it is as expected; docs/paper.md has the claims."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """The conventional method of the introduction (Fig. 1), compared with that of the paper."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Claims on error detection: section 4, and the claims of section 5 on cables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Claims on the position within a cycle: introduction, section 2, part of section 5."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 

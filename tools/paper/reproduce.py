@@ -7,8 +7,6 @@ Acquisition with Sinusoidal Incremental Encoders, 1997. --fast takes shorter run
 1 when a claim does not hold.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator, Sequence

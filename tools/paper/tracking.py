@@ -1,7 +1,5 @@
 """Claims on the absolute position: section 3, and the claims of section 5 on the speed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 

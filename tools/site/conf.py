@@ -5,8 +5,6 @@ configuration classes, command line and docstrings. A page missing in that order
 all other warnings of Sphinx are errors. The site needs no server.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import canfb

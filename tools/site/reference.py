@@ -3,8 +3,6 @@
 Generated from the parser of the command line, the configuration classes with their docstrings, the EDS files.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import inspect

@@ -1,7 +1,5 @@
 """Text of the code as Markdown, or as reStructuredText for autodoc: cells, tables, lines, docstrings."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Sequence
 

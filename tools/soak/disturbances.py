@@ -1,7 +1,5 @@
 """Disturbances of the network of the soak."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 

@@ -4,8 +4,6 @@ The runner waits for its bus; here the wait ends when the embedded bus has a fra
 So it needs its own thread; only one of the two threads runs at a time, so that every run is identical.
 """
 
-from __future__ import annotations
-
 import errno
 import math
 import os

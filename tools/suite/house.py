@@ -7,8 +7,6 @@ from others, and those to the ground, are omitted. A room is one floor above the
 rooms of a floor are ordered by the mean position of the rooms that import them.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from functools import cache

@@ -9,8 +9,6 @@ LIST names survivors that are known to change nothing, one per line, with the re
 The exit status is 1 if there are others, 2 if the tests fail unchanged. Nothing is written to the disk.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import copy

@@ -8,8 +8,6 @@ another folder, `canfb demo` passes with the versions that pip chooses.
 Exit status 1, with one line for each finding, if anything is wrong.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

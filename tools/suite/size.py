@@ -4,8 +4,6 @@ python -m tools.suite.size
 python -m tools.suite.size --lower      lower each budget to the present size, after deleting
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

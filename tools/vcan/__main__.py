@@ -9,8 +9,6 @@ Debian's user-mode Linux, with the same files, the same environment and the same
 COMMAND gets no standard input. Exit status 124: ended by --timeout; 125: no vcan, or it failed to start.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

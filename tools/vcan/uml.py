@@ -4,8 +4,6 @@ Its root is the file system of the host, so that Python, virtual environment and
 same. Used by tools/vcan.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shlex

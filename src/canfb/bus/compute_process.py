@@ -1,7 +1,5 @@
 """Reads one job from standard input, computes it, reports progress and result."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pickle

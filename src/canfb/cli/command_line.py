@@ -4,8 +4,6 @@ Exit codes: 0 done, 1 failed, 2 wrong use or configuration. An error is one line
 the traceback before it, with the same exit code.
 """
 
-from __future__ import annotations
-
 import io
 import logging
 import os

@@ -1,8 +1,6 @@
 # PYTHON_ARGCOMPLETE_OK: argcomplete looks for it here
 """The command line: ``canfb COMMAND``."""
 
-from __future__ import annotations
-
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns its exit code, 130 after Ctrl-C (128 + SIGINT, as in shells)."""

@@ -1,7 +1,5 @@
 """``canfb run CONFIG.yaml``: the modules and encoder interfaces of a configuration on a real bus."""
 
-from __future__ import annotations
-
 import argparse
 
 from canfb.bus.runner import ending_on_signals

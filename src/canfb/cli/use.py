@@ -1,7 +1,5 @@
 """``canfb use``: the default bus, used if neither options nor a configuration name one."""
 
-from __future__ import annotations
-
 import argparse
 import json
 

@@ -1,7 +1,5 @@
 """Encoder interface, feedback module and drive on an embedded bus, with python canopen's CiA 402 master."""
 
-from __future__ import annotations
-
 import functools
 import struct
 from typing import Any

@@ -1,7 +1,5 @@
 """The drive on the bus: how well it follows, and what it makes of feedback, bus and load that fail."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

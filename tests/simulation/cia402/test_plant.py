@@ -1,7 +1,5 @@
 """Motor, friction, load and encoders in the time of the SYNCs; feedback, position loop and trajectory."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import struct

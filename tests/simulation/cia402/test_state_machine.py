@@ -1,7 +1,5 @@
 """The states of the drive, as a table and under a CiA 402 master that we did not make."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import canopen

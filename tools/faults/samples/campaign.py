@@ -8,8 +8,6 @@ are accelerations. The result depends on the seeds only. Exit status 1 if a goal
 ``--exceed F`` the machine accelerates F times as much as declared.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

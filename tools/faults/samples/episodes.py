@@ -4,8 +4,6 @@ A sample is good, missing (none in its interval), flagged (the interface marks i
 flag: of correct amplitude, at a random phase. A kind may also change the instants.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum

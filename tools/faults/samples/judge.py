@@ -11,8 +11,6 @@ twice the second divided differences of its nodes are at most the bound B; it fi
 the phase error of each. This file shares no code with the estimator.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Each kind draws its parameters at random. A fault counts (``matters``) if it shi
 0.25 cycle, makes it missing, or if a wrong position was valid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -8,8 +8,6 @@ Own motion, own wire, own judge: only canfb.FeedbackModule and canfb.Frame are u
 docs/evidence.md says what the classes and columns mean.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Sequence
 from functools import partial

@@ -4,8 +4,6 @@ A class is a sequence of changes, i.e. functions of the plan. One-line changes a
 at the top of this file; an aimed class has its own machine (:mod:`tools.faults.wire.clocks`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

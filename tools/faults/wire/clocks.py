@@ -6,8 +6,6 @@ the phases alone do not reveal the error. Each needs its own machine (:func:`mac
 At the end: stalls of a computer, 1 to 500 ms, at 100, 500 and 1000 Hz, with sample times (:func:`stalls`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

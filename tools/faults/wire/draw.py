@@ -4,8 +4,6 @@ A servo makes moves with limited jerk, reversals and vibration at a SYNC of 1 kH
 times and a known acceleration: 2000 rad/s^2 is 0.8 cycle/T^2 at 2500 cycles, 0.2 per pair interval^2.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -16,8 +16,6 @@ A position is correct if it is within half a cycle of one of these. A frame with
 is **valid and wrong**. No latency is allowed. Frames without bit 0 are never wrong.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from bisect import bisect_left, bisect_right

@@ -5,8 +5,6 @@ each at its true receive time, and to the true position of each sample.
 Times in T; ``Plan.us`` converts microseconds.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ PDO that answers another SYNC, when the answer to that is due. P8: a step of SYN
 times. P9: as P4, but the speed is wrong as well.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

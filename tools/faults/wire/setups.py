@@ -1,7 +1,5 @@
 """Set-ups of module and bus: SYNC counter, sample times, 1006h, receive time stamps."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass, replace
 
