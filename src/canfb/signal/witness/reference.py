@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from canfb.objects import LossCause
 from canfb.signal import speeds
 from canfb.signal.doubt import SAME_TIME
-from canfb.signal.estimator import Estimator
+from canfb.signal.estimator import HALF_CYCLE, Estimator
 from canfb.signal.sample import Feedback, Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
@@ -82,8 +82,8 @@ class Reference:
         An interval longer by d adds ``missing`` d to the second difference, which with acceleration and phase
         errors must stay below half a cycle.
         """
-        motion = self.estimator.declared.in_doubt
-        spare = max(0.0, 0.5 - motion.largest - 4.0 * motion.phase_error)
+        declared = self.estimator.declared
+        spare = max(0.0, HALF_CYCLE - declared.followed - 4.0 * declared.phase_error)
         return abs(missing) * max(0.0, self._longest - self._shortest) <= spare
 
     def passed(self, taken: bool) -> None:
