@@ -40,11 +40,11 @@ NodeConfig = ModuleConfig | InterfaceConfig
 class RealtimeConfig:
     """Real-time options of the process.
 
-    priority      of SCHED_FIFO, 0..99; 0: the usual scheduler
+    priority      of SCHED_FIFO, 0..99; 0: the default scheduler
     lock_memory   True: no page of the process is swapped out
-    cpu           the one processor that it runs on, 0..65535; None: any
-    busy_poll     True: it never sleeps, and uses all of ``cpu``, which it requires; not with ``priority``:
-                  as usually set, the kernel halts a program of SCHED_FIFO for 5 % of the time (sched(7))
+    cpu           the only processor used, 0..65535; None: any
+    busy_poll     True: never sleep; requires ``cpu`` and uses all of it. Not with ``priority``: by default
+                  the kernel halts a program of SCHED_FIFO for 5 % of the time (sched(7))
     """
 
     priority: int = 0
@@ -68,10 +68,10 @@ class Config:
     """A configuration, validated.
 
     bus          python-can's own words (interface, channel, bitrate, ...), may be empty
-    modules      the drive feedback modules, which one process serves
-    interfaces   the encoder interfaces with a source, which ``canfb run`` serves
+    modules      the drive feedback modules, all in one process
+    interfaces   the encoder interfaces with a source, served by ``canfb run``
     realtime     real-time options
-    played       its ``simulation`` section; None: there is none
+    played       the ``simulation`` section; None: none
     """
 
     bus: dict[str, Any] = field(default_factory=dict)
@@ -82,24 +82,24 @@ class Config:
 
     @property
     def simulation(self) -> SimulationConfig:
-        """What ``canfb simulate`` plays, the defaults without a section."""
-        from canfb.simulation.scenario import SimulationConfig  # here: who serves nodes plays nothing
+        """The ``simulation`` section, or its defaults."""
+        from canfb.simulation.scenario import SimulationConfig  # here: canfb run needs no simulation
 
         return self.played or SimulationConfig()
 
     @property
     def lists(self) -> dict[str, Sequence[NodeConfig]]:
-        """Those of nodes, by their keys."""
+        """The lists of nodes, by key."""
         return {"modules": self.modules, "interfaces": self.interfaces}
 
     @property
     def nodes(self) -> list[tuple[str, int, NodeConfig]]:
-        """Modules and interfaces, each behind its key and its place in that list."""
+        """Key, index in the list, and configuration of each module and interface."""
         return [(key, n, one) for key, those in self.lists.items() for n, one in enumerate(those)]
 
     @property
     def node_ids(self) -> list[int]:
-        """Of all nodes that have one, also of interfaces of which the modules get samples."""
+        """Of all nodes with one, and of the interfaces that send the modules their samples."""
         known = [one.node_id for _, _, one in self.nodes]
         known += [one.encoder_interface for one in self.modules if one.source is None]
         return sorted({node for node in known if 1 <= node <= 127})

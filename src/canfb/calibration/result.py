@@ -191,7 +191,7 @@ class Calibration:
     bound_rms        Cramer-Rao bound of the table's rms error, cycles; None: not computed
     cramer_rao_ratio measured error of the table over that bound; None: not computed
     cramer_rao_scatter  relative standard deviation of that ratio
-    track_orders     orders of the tracks' Fourier series that the data supports; empty: none are chosen
+    track_orders     orders of the tracks' Fourier series that the data supports; empty: none chosen
     harmonics        of the error of the conditioned arc tangent, largest first
     curve            deviation over the phase, before and after
     block_samples    samples over which the motion was assumed to be smooth

@@ -364,18 +364,17 @@ class EncoderInterface(MachineNode):
 class InterfaceConfig:
     """One encoder interface: a node that sends the samples of its source, one PDO for each SYNC.
 
-    node_id                  of the interface, 1..127, required; 255: none yet, an LSS master assigns one. A
-                             node-ID stored by LSS in state_dir takes precedence
+    node_id                  of the interface, 1..127, required; 255: assigned by an LSS master. A node-ID
+                             stored by LSS in state_dir takes precedence
     source                   of its samples, required: a converter (``kind: iio``), a recording, or the
                              simulated machine
-    serial_number            of the device, 0..4294967295 (1018:04): an LSS master distinguishes equal devices
-                             by it
-    times                    True: the ADC PDO carries the sample time after sine and cosine, as ``times`` of
-                             the module expects it
-    samples_per_sync         1..8 pairs of sine and cosine for each SYNC, with ``times`` at most 7, as
-                             ``samples_per_sync`` of the module expects them
-    adc_bits                 of the simulated converter, 4..16; those of a real one are its own, and another
-                             number here is refused
+    serial_number            0..4294967295 (1018:04): distinguishes equal devices for an LSS master
+    times                    True: the ADC PDO carries the sample time after sine and cosine; as ``times`` of
+                             the module
+    samples_per_sync         1..8 pairs of sine and cosine for each SYNC, with ``times`` at most 7; as
+                             ``samples_per_sync`` of the module
+    adc_bits                 of the simulated converter, 4..16; a value that differs from that of a real
+                             converter is refused
     cycles_per_revolution    of the simulated encoder, 1..1048576
     state_dir                folder for the data of `save` (1010h) and LSS, created if missing; None: nothing
                              is saved

@@ -91,7 +91,7 @@ class LogError(CanfbError):
 class LogCounters:
     """Counts of all frames, of those left out by reason, and of lines without a frame.
 
-    late             frames that were moved to another place
+    late             frames moved, as their stamps were out of order
     damaged_lines    incomplete frames; ``empty_lines`` include comments of a candump log
     bytes_read       of the file, for the progress
     channels         channels whose frames were used

@@ -26,7 +26,7 @@ class SecondPositionConfig(SecondSensor):
 
     cob_id         of that PDO, 385..1407 (181h..57Fh), for the first free RPDO. None: a master maps 2000:0E
     before_bytes   bytes of that PDO before the value, 0..4
-    after_bytes    bytes of that PDO after the value, 0..4; with those before it at most 4
+    after_bytes    bytes of that PDO after the value, 0..4; at most 4 in all
     """
 
     cob_id: int | None = None
@@ -60,36 +60,35 @@ WRITE_LOCKS = {"none": WriteLockMode.OFF, "preop": WriteLockMode.PREOP, "code": 
 class ModuleConfig(ChainConfig):
     """One drive feedback module: the fields of ChainConfig, and its place on the bus.
 
-    node_id                  of the module, 1..127, required; 255: none yet, an LSS master assigns one. A
-                             node-ID stored by LSS in state_dir takes precedence
-    serial_number            of the device, 0..4294967295 (1018:04), by which an LSS master distinguishes
-                             equal modules
+    node_id                  of the module, 1..127, required; 255: assigned by an LSS master. A node-ID stored
+                             by LSS in state_dir takes precedence
+    serial_number            0..4294967295 (1018:04): distinguishes equal modules for an LSS master
     encoder_interface        node-ID of the encoder interface, whose TPDO1 carries the ADC counts, 1..127; not
                              node_id. Not used with a source
     times                    True: the ADC PDO carries the interface's sample time after sine and cosine
-                             (RPDO1: 2000:01, :02, :05), 8 bytes; with several samples, the first PDO that has
+                             (RPDO1: 2000:01, :02, :05), 8 bytes; with several samples, the first PDO with
                              room for it. Not used with a source
     samples_per_sync         1..8 pairs of sine and cosine for each SYNC, two in each TPDO of the encoder
                              interface (2000:01, :02, :08..0D, :0F..16), then the time: with ``times`` at
-                             most 7. With a source of kind iio: pairs that it is to give
+                             most 7. Also the pairs from a source of kind iio
     source                   source of the samples; None: the ADC PDO
     max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0: not known
-    noise_margin             0..255 (2010:09): standard deviations of the measured noise that replace the
-                             fixed margin of a residual limit narrowed by the acceleration, if they are less;
-                             0: the fixed margin. 6 is usual
-    predict                  position in synchronous TPDOs, 0..2 (2013:01): False or 0 measured, True or 1
-                             extrapolated to their SYNC at constant speed, 2 at constant acceleration
+    noise_margin             0..255 (2010:09): margin of a residual limit narrowed by the acceleration, in
+                             standard deviations of the measured noise, if less than the fixed margin; 0: the
+                             fixed margin. 6 is usual
+    predict                  position in synchronous TPDOs, 0..2 (2013:01): False or 0: measured; True or 1:
+                             extrapolated to their SYNC at constant speed; 2: at constant acceleration
     nominal_sync             True: with ``times`` the position is that of a SYNC without jitter (2013:02)
     sync_timeout_periods     2..255 periods without SYNC or sample until the position is not valid
                              (2010:06)
     answer_delay_s           longest delay from SYNC to ADC PDO, 0..1 s (2010:0E); 0: less than a period
-    second_position          another sensor of the machine, such as the motor encoder of the drive, that is
-                             compared with the position (2014h); None: none
+    second_position          another sensor of the machine, such as the motor encoder of the drive, to compare
+                             with the position (2014h); None: none
     state_dir                folder for the data of `save` (1010h), relative to the working directory, created
                              if missing; None: nothing is saved. `canfb run` uses it; each module has its own
     autostart                True: OPERATIONAL without a master
-    write_lock               when parameters, table and node-ID can be written over the bus (2040:01): "none"
-                             always, "preop" not in OPERATIONAL, "code" only with unlock_code
+    write_lock               when parameters, table and node-ID can be written over the bus (2040:01): "none":
+                             always, "preop": not in OPERATIONAL, "code": only with unlock_code
     unlock_code              0..4294967295, for write_lock "code" (2040:02); 0: none
     """
 

@@ -132,7 +132,7 @@ class Plan:
     jitter_s        of the SYNC at its producer, +-
     aperture_s      jitter of the sampling instant, +-, added to the error of the SYNC or sample time
     extra_load      of frames of other nodes, 0..1
-    heartbeat_s     of every node, 0.0: as each node has it
+    heartbeat_s     of nodes without one, 0.0: none
     modules         at least one
     others          objects of further nodes, by node-ID
     speed_rad_s, acceleration_rad_s2   largest ones of the machine; None: not given

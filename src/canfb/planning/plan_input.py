@@ -31,25 +31,25 @@ from canfb.view.module_view import LIMIT_UNITS
 
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
-    """Command-line overrides of the configuration. None: as the configuration has it.
+    """Command-line overrides of the configuration. None: as configured.
 
     bit_rate                   bit/s, 10000..1000000
     rate_hz                    SYNC rate, 0.1..100000 Hz
     jitter_us                  of the SYNC at its producer, +-, 0..1e6 us
-    extra_load                 of frames of other nodes, 0..1
-    heartbeat_ms               of each node that has none yet, 1..65535 ms
+    extra_load                 bus load of other nodes, 0..1
+    heartbeat_ms               of each node without one, 1..65535 ms
     rpm                        largest speed, 0..1e6 rpm
     acceleration_rad_s2        largest acceleration, 0..1e9 rad/s^2
     noise_counts               rms noise of a track, 0..1000 counts
-    phase_error_cycles         largest error of a phase, 0..0.25 cycle
+    phase_error_cycles         largest phase error, 0..0.25 cycle
     cycles_per_revolution      2001:01 of every module
     residual_limit             2010:01 of every module, cycles
-    samples_per_sync           1..8 pairs that the interface of every module sends for each SYNC
+    samples_per_sync           1..8 pairs per SYNC from the interface of every module
     noise_margin               2010:09 of every module, 0..255
     times                      True: the ADC PDOs carry sample times
     table                      True: a correction table is in force
 
-    ValueError for a value that cannot be.
+    ValueError out of range.
     """
 
     bit_rate: int | None = None

@@ -137,12 +137,12 @@ HYSTERESIS = 31.0 / 32.0
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptConfig:
-    """How far and how fast offset, gain and phase of the tracks are followed.
+    """Bounds of range and rate within which offset, gain and phase of the tracks are followed.
 
     offset         largest change of an offset, 0..0.25 of the amplitude (2002:09); 0: not followed
     gain           largest change of the ratio of the gains, 0..0.5 (2002:0A); 0: not followed
     phase_rad      largest change of the phase error, 0..0.25 rad (2002:0B); 0: not followed
-    rate_per_hour  largest change of each in an hour, 0..10 (2002:0C); 0: only measured
+    rate_per_hour  largest change of each per hour, 0..10 (2002:0C); 0: only measured
     """
 
     offset: float = 0.15

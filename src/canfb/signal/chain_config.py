@@ -55,23 +55,23 @@ class ChainConfig:
     amplitude_low_counts    lowest accepted amplitude after conditioning, 0..65535 (2001:03);
                             None: 0.2 of the full scale
     amplitude_high_counts   highest accepted amplitude, 0..65535 (2001:04); None: 1.25 of the full scale
-    corner_hz               corner frequency of the low-pass of the analog path, 0..1e9 Hz (2001:05); both
-                            limits of the amplitude hold before the low-pass; 0: none
+    corner_hz               corner frequency of the low-pass of the analog path, 0..1e9 Hz (2001:05), before
+                            which the amplitude limits apply; 0: none
     cosine_corner_hz        the same for the cosine track, 0..1e9 Hz (2001:06); 0: equal
     residual_limit          largest accepted residual, 0 < limit <= 0.5 cycles (2010:01, eq. 12)
-    coast_samples           0..255 sampling intervals to bridge before the position is lost (2010:03)
-    frozen_samples          0..255 successive repeats that distinguish a dead converter from a machine
-                            that moves whole cycles per sample (2010:04): 16 with half a count of noise.
-                            0: off, for a converter without noise
+    coast_samples           0..255 intervals (of SYNC, if any) to bridge until the position is lost (2010:03)
+    frozen_samples          0..255 successive repeats that reveal a dead converter, not whole cycles per
+                            sample (2010:04): 16 with half a count of noise. 0: off, for a converter
+                            without noise
     coarse_limit_revolutions  largest error of the coarse track, above 0, at most 0.25 (2010:05)
     conditioning            offset, gain and phase error of the tracks, and delays of the analog path (2002h)
     max_acceleration_cycles  largest acceleration of the machine, 0..1000 cycles per interval^2; 0: not known
     phase_error_cycles      largest phase error of a good sample, above 0, at most 0.0625 cycles (2010:0C):
                             of encoder, conditioning and table
-    bad_samples             0..8 neighbouring samples that may be bad unnoticed (2010:0A); 0: as many as
-                            cannot do harm
+    bad_samples             0..8 successive samples that may be bad unnoticed (2010:0A); 0: as many as do no
+                            harm
     doubt_acceleration_cycles  acceleration assumed in doubt if max_acceleration is not known, 0..0.5 cycles
-                            per interval^2 (2010:0B); 0: none, each gap that leaves two motions is a loss
+                            per interval^2 (2010:0B); 0: none, any gap that two motions fit is a loss
     sync_jitter_s           largest distance of a SYNC from the even grid, 0..1 s (2010:0D); 0: not declared
     interval_s              sampling interval, 0..1000 s, for corner_hz, adapt and the cosine_delay_s of
                             conditioning; 0: not known

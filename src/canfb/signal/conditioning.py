@@ -32,7 +32,7 @@ class Conditioning:
     sine_gain              factor of the sine track (2002:03), 0.001..1000 or its negative
     cosine_gain            factor of the cosine track (2002:04), 0.001..1000 or its negative
     phase_error_rad        deviation of the tracks from a right angle (2002:05), within -pi/3..pi/3
-    cosine_delay_s         the cosine is sampled this much after the sine (2002:06), -0.01..0.01 s
+    cosine_delay_s         delay of the cosine sample after the sine (2002:06), -0.01..0.01 s
     delay_s                common delay of the analog path and the converter (2002:07), -0.01..0.01 s
 
     harmonic_1_backward_real       real part of order -1 (2005:01), -0.5..0.5

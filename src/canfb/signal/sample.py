@@ -22,16 +22,15 @@ class Sample(NamedTuple):
     """One pair of ADC counts with what came with it (objects 2000:01..0D).
 
     sine, cosine            ADC counts, signed, zero at mid-scale
-    elapsed                 intervals of SYNC since the sample before; 1.0 on a bus without
-                            losses, n + 1 after n missed samples
-    invalid                 the encoder interface itself flagged this sample as bad (2000:06 bit 1)
+    elapsed                 intervals of SYNC since the previous sample: n + 1 after n missed samples
+    invalid                 the encoder interface flagged this sample as bad (2000:06 bit 1)
     coarse_sine, coarse_cosine  the track with one cycle per revolution, ADC counts, or None
-    zero_pulse              the zero pulse came since the sample before, at this fraction of the
-                            interval (0..1, 2000:07); None: it did not come
+    zero_pulse              fraction of the interval at which the zero pulse came (0..1, 2000:07); None: it
+                            did not
     time_100ns              sample time in 100 ns, modulo 2^32 (2000:05), or None. It determines the
                             elapsed time; ``elapsed``, by the count of SYNCs, is then a check
-    earlier                 pairs (sine, cosine) that were taken before this one in the same interval, the
-                            newest first: pair j of m - 1 was taken j/m of an interval before
+    earlier                 earlier pairs (sine, cosine) of the same interval, newest first: pair j of m - 1
+                            was taken j/m of an interval before
     """
 
     sine: float
@@ -87,7 +86,7 @@ class Feedback(NamedTuple):
     status           status word 2011:01 (:class:`canfb.signal.supervision.StatusBit`)
     speed_cycles     speed between the last two good samples, cycles per sampling interval:
                      the speed half an interval ago
-    acceleration_cycles  its change since the sample before, cycles per interval squared: the
+    acceleration_cycles  its change since the previous sample, cycles per interval squared: the
                      acceleration one interval ago
     jump_cycles      cycles by which the position will be corrected at the next sample; else 0
     samples          samples processed since the start, missed ones included

@@ -16,12 +16,12 @@ UNIT_INCREMENTS = 1 << 20  # default per revolution
 class SecondSensor:
     """The other sensor (2014h); ValueError for a bad value.
 
-    increments               of the sensor in these ``revolutions``, 1..4294967295 (2014:01)
-    revolutions              of the encoder, 1..4294967295 (2014:02): above 1 with a gear between the two
+    increments               of the sensor in ``revolutions``, 1..4294967295 (2014:01)
+    revolutions              of the encoder, 1..4294967295 (2014:02); above 1 for a gear
     reversed                 True: the sensor counts down when the encoder counts up (2014:03)
     tolerance_revolutions    largest difference of the two positions by compliance, backlash and age of the
-                             value, 0..0.25 revolutions of the encoder (2014:04); 0: it is not used
-    invalidates              True: the position is not valid while the two disagree (2014:05)
+                             value, 0..0.25 revolutions of the encoder (2014:04); 0: not used
+    invalidates              True: the position is not valid while they disagree (2014:05)
     """
 
     increments: int = UNIT_INCREMENTS

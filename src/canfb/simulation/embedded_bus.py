@@ -30,13 +30,13 @@ LARGEST_PART = 0.45  # largest deviation of a SYNC, part of the period: SYNCs ke
 
 @dataclass(frozen=True, kw_only=True)
 class SyncTiming:
-    """How far the SYNCs of a producer are from equidistant. Every field has a default: not at all.
+    """Deviations of a producer's SYNCs from equidistance; default: none.
 
     sync_jitter_us      of the producer, uniform within +-, 0..1e6 us
     sync_jitter_rms_us  of the producer, normal, cut off at 4 times that, 0..1e6 us; both add up
-    sync_drift_ppm      how much faster than true time its clock runs, -10000..10000 ppm
-    bus_load            part of the time at which the bus is busy with other frames, 0..1: the SYNC waits
-                        for the end of the one on the wire, up to 135 bit times
+    sync_drift_ppm      rate error of its clock, -10000..10000 ppm, positive: fast
+    bus_load            by other frames, 0..1: the SYNC waits for the end of the one on the wire, up to 135
+                        bit times
     bus_bit_rate        bit/s of that bus, 10000..1000000
 
     ValueError for anything else.

@@ -25,7 +25,7 @@ class AnalogPath:
     """The analog path, by its response at a constant speed.
 
     sine_corner_hz, cosine_corner_hz   corner of a one-pole low-pass of the track, 0.0: none
-    cosine_delay_s                     the cosine is sampled this much after the sine
+    cosine_delay_s                     delay of the cosine sample after the sine
     delay_s                            delay of both tracks in addition to their low-pass
     """
 

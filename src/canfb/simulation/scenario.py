@@ -30,7 +30,7 @@ PACES = ("time", "sync")
 class HarmonicConfig:
     """One harmonic of the tracks, relative to the fundamental.
 
-    order    multiple of the frequency of the tracks, 2..50
+    order    multiple of the track frequency, 2..50
     sine     its amplitude in the sine track, -1..1 of the amplitude
     cosine   its amplitude in the cosine track, -1..1 of the amplitude
     """
@@ -58,12 +58,12 @@ class EncoderScenario(AnalogPath, TrackErrors):
     sine_amplitude     of the sine track, 0..2 of the amplitude
     cosine_amplitude   of the cosine track, 0..2 of the amplitude
     phase_error_rad    deviation of the tracks from a right angle, -1..1
-    noise_lsb          rms of the noise of each sample, 0..1000
+    noise_lsb          rms noise of each sample, 0..1000
     harmonics          of the tracks, each an order and its amplitudes
     sine_corner_hz     corner frequency of the low-pass of the sine track, 0..1e9; 0: none
-    cosine_corner_hz   that of the cosine track, 0..1e9; 0: none
-    cosine_delay_s     the cosine is sampled this much after the sine, -0.01..0.01
-    delay_s            both tracks come this much late, -0.01..0.01
+    cosine_corner_hz   the same for the cosine track, 0..1e9; 0: none
+    cosine_delay_s     delay of the cosine sample after the sine, -0.01..0.01
+    delay_s            delay of both tracks, -0.01..0.01
     """
 
     amplitude: float = 0.75
@@ -133,19 +133,19 @@ class MotionConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationConfig(SyncTiming):
-    """What ``canfb simulate`` plays; a ``drive`` makes the motion itself.
+    """What ``canfb simulate`` plays; a ``drive`` makes its own motion.
 
-    The fields of SyncTiming     how regular the SYNC of ``--rate`` is
+    The fields of SyncTiming     timing of the SYNC of ``--rate``
     encoder                      the encoder and its errors
     motion                       of the machine
     drive                        a CiA 402 drive that moves the machine instead of ``motion``; None: none
-    clock_drift_ppm              how much faster than true time the clock of the interface runs that stamps
-                                 its samples (2000:01), -10000..10000 ppm
-    aperture_jitter_ns           rms of the instant at which the tracks are held, 0..1e6 ns
-    pace                         "time": the machine turns in true time; "sync": it goes on by one interval
-                                 with each SYNC, however late (:mod:`canfb.interface.encoder_interface`)
+    clock_drift_ppm              rate error of the interface's clock for sample times (2000:01), -10000..10000
+                                 ppm, positive: fast
+    aperture_jitter_ns           rms jitter of the sampling instant, 0..1e6 ns
+    pace                         "time": the machine turns in true time; "sync": by one interval per SYNC,
+                                 however late (:mod:`canfb.interface.encoder_interface`)
     sync_period_us               of the SYNC of the bus, 10..1e7 us; ``--rate`` takes precedence
-    seed                         of everything that is random, 0..2^63 - 1
+    seed                         of all random numbers, 0..2^63 - 1
     """
 
     encoder: EncoderScenario = field(default_factory=EncoderScenario)

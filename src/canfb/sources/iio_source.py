@@ -162,23 +162,22 @@ NS_PER_100NS = 100
 class IioSourceConfig(SourceConfig):
     """A local ADC through Linux IIO, captured by the kernel into a buffer.
 
-    device            name, id (iio:device0) or label, as ``iio_info`` has it; required
+    device            name, id (iio:device0) or label, as listed by ``iio_info``; required
     sine, cosine      ids or names of the channels
-    uri               where libiio finds the device: ``local:``, or ``ip:HOST``
-    mid_scale         the reading that means zero, any number of counts; None: the middle of the range, 0
-                      where readings are signed
-    trigger           name or id of the trigger that the device is given; one with ``trigger_now`` (sysfs)
-                      is fired at each SYNC. None: the device has one, or runs freely
-    rate_hz           sampling frequency to set, of the trigger if it has one, else of the device,
-                      1..10000000; None: leave it
-    time_stamps       True: the kernel's time of a scan is the sample time (2000:05)
-    scans_per_sync    2..256 scans of the converter in an interval of SYNC, a multiple of samples_per_sync:
-                      the samples lie on a grid of these scans. None: the newest scan is the sample
+    uri               libiio context: ``local:`` or ``ip:HOST``
+    mid_scale         reading of a zero signal, any number of counts; None: mid-range, 0 for signed readings
+    trigger           name or id of the trigger to assign to the device; one with ``trigger_now`` (sysfs) is
+                      fired at each SYNC. None: the device keeps its own, or runs freely
+    rate_hz           sampling frequency to set, 1..10000000, on the trigger if it has one, else on the
+                      device; None: unchanged
+    time_stamps       True: the kernel's time stamp of the scan is the sample time (2000:05)
+    scans_per_sync    2..256 scans in an interval of SYNC, a multiple of samples_per_sync: samples lie on a
+                      grid of these scans. None: the newest scan is the sample
     buffer_scans      length of the kernel's buffer, 2..65536 scans
-    wait_us           with a trigger that is fired: how long a SYNC waits for its scan, 10..1000000 µs
-    adc_bits          bits of the converter as the configuration states them, 4..16; None: those of the
-                      channels. In the YAML this is ``adc_bits`` of the module
-    samples_per_sync  1..8 pairs for each SYNC. In the YAML this is that of the module
+    wait_us           longest wait of a SYNC for the scan that it fired, 10..1000000 µs
+    adc_bits          configured bits of the converter, 4..16; None: those of the channels. In the YAML:
+                      ``adc_bits`` of the module
+    samples_per_sync  1..8 pairs for each SYNC. In the YAML: that of the module
     """
 
     kind: str = "iio"

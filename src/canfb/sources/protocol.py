@@ -106,11 +106,11 @@ class Surroundings:
     """What a source may use when it is opened.
 
     adc_bits, cycles_per_revolution   of the module
-    simulation                        gives the simulated machine
-    captured                          (opened, name, wait_s, picked): runs a capture in a thread, and gives
-                                      a source of the scans that ``picked`` selects (None: the newest); a
-                                      SYNC waits ``wait_s`` for a scan that it has fired
-    resources                         closes what is entered there when the program ends
+    simulation                        returns the simulated machine
+    captured                          (opened, name, wait_s, picked): runs a capture in a thread; returns a
+                                      source of the scans selected by ``picked`` (None: the newest); a SYNC
+                                      waits ``wait_s`` for the scan that it fired
+    resources                         closed when the program ends
     """
 
     adc_bits: int

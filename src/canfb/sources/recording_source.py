@@ -31,17 +31,17 @@ OF_CSV = ("columns", "mid_scale", "scale", "time_column", "gap_s", "gap_samples"
 
 @dataclass(frozen=True)
 class RecordingLayout:
-    """How a recording holds the tracks.
+    """Layout of the tracks in a recording.
 
-    columns        names, or numbers from 0, of the sine and the cosine column of a CSV file
-    mid_scale      reading that means zero, any number of counts, or of the unit of the file (CSV)
-    time_column    column with seconds (CSV): a longer step than ``gap_s`` is a gap; None: there is none
-    gap_s          the shortest gap, 1e-9..1e12
-    gap_samples    samples missed at each gap, 1..1000000
-    time_stamps    True: the time column is the sample time (2000:05), too
-    scale          ADC counts for each unit of the file, as for each volt: any finite value but 0
-    interval_s     seconds from row to row where there is no time column
-    paced          the times are stretched until rows are ``interval_s`` apart
+    columns        names, or numbers from 0, of the sine and the cosine column (CSV)
+    mid_scale      reading of a zero signal, any number of counts, or of the file's unit (CSV)
+    time_column    column of times in seconds (CSV): a step above ``gap_s`` is a gap; None: none
+    gap_s          the shortest gap, 1e-9..1e12 (CSV)
+    gap_samples    samples missed at each gap, 1..1000000 (CSV)
+    time_stamps    True: the time column is also the sample time (2000:05)
+    scale          ADC counts per unit of the file, such as volts (CSV): any finite value but 0
+    interval_s     interval of the rows without a time column, seconds
+    paced          scale the times so that rows are ``interval_s`` apart
     """
 
     columns: Sequence[str | int] = field(default=("sine", "cosine"), metadata={"list": True})
@@ -59,7 +59,7 @@ class RecordingLayout:
 class RecordingSourceConfig(RecordingLayout, SourceConfig):
     """A recording, one row for each SYNC.
 
-    file           CSV with a header line, or NPZ as ``canfb calibrate --out`` writes it; required
+    file           CSV with a header line, or NPZ of ``canfb calibrate --out``; required
     """
 
     kind: str = "recording"

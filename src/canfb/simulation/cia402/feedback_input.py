@@ -29,8 +29,8 @@ class FeedbackInput:
 
     A position is used if the status word is as 2110:02 and :03 require, if it is within its range (2110:05),
     and if the step from the last one, wrapped to ± half the range, is possible. The first one is taken as
-    -range/2..range/2, so that a machine a little below zero is not at the far end. Until then the feedback
-    counts as missing.
+    -range/2..range/2, so that a machine slightly below zero is not at the far end. Until then the feedback is
+    missing.
     """
 
     def __init__(self, dictionary: Dictionary) -> None:

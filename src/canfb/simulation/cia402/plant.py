@@ -33,21 +33,21 @@ class DriveConfig:
     """A drive on the shaft of the encoder, and its motor; there is no gear.
 
     inertia_kg_m2            moment of inertia of motor and load, 1e-9..1e6
-    viscous_friction_nm_s    friction torque for each rad/s, 0..1e6 Nm s/rad
-    coulomb_friction_nm      friction torque at any speed, and what holds at standstill, 0..1e6 Nm
-    rated_torque_nm          1000 per mille of 6072h and 6077h (6076h), 0.001..1e6 Nm
-    torque_time_constant_s   of the current loop: the torque follows its command so fast, 0..1 s
-    load_torque_nm           what pulls at the shaft from ``load_at_s`` on, -1e6..1e6 Nm, positive
-                             against positive motion
+    viscous_friction_nm_s    friction torque per rad/s, 0..1e6 Nm s/rad
+    coulomb_friction_nm      friction torque at any speed and largest at standstill, 0..1e6 Nm
+    rated_torque_nm          unit of 6072h and 6077h, 1000 per mille (6076h), 0.001..1e6 Nm
+    torque_time_constant_s   of the current loop, 0..1 s
+    load_torque_nm           load on the shaft from ``load_at_s`` on, -1e6..1e6 Nm; positive opposes
+                             positive motion
     load_at_s                time of the machine, 0..1e9 s
-    brake_torque_nm          of the holding brake, closed without power, 0..1e6 Nm; 0 = none, it coasts
+    brake_torque_nm          of the holding brake, closed without power, 0..1e6 Nm; 0: none, it coasts
     node_id                  of the drive, 1..127
-    start_revolutions        where the shaft stands at the start, -1e6..1e6 revolutions
-    motor_increments         of an encoder on the motor in a revolution, 0..4294967295: 6063h is then its
-                             position at the SYNC; 0: there is none, and 6063h is that of the feedback
-    slip_revolutions         by which the coupling between motor and encoder slips, -1000..1000 revolutions,
-                             in half a second; 0: it holds
-    slip_at_s                when it begins to, time of the machine, 0..1e9 s
+    start_revolutions        position of the shaft at the start, -1e6..1e6 revolutions
+    motor_increments         increments per revolution of an encoder on the motor, 0..4294967295: 6063h is
+                             its position at the SYNC; 0: none, 6063h is that of the feedback
+    slip_revolutions         slip of the coupling between motor and encoder, -1000..1000 revolutions, in
+                             half a second; 0: none
+    slip_at_s                begin of the slip, time of the machine, 0..1e9 s
     synchronous_feedback     true: the torque follows at the next SYNC (RPDO4 of type 1); false: at once (255)
     """
 
