@@ -51,7 +51,7 @@ def register(commands: Commands) -> None:
         "save",
         save,
         node_options.NODE,
-        option("file", metavar="FILE", type=Path, help="replaced"),
+        option("file", metavar="FILE", type=Path, help="to write; replaced"),
         *node_options.ACCESS,
         summary="write table and all parameters of a module to a file (YAML)",
     )
@@ -60,7 +60,7 @@ def register(commands: Commands) -> None:
         "restore",
         restore,
         nodes(
-            "what canfb backup save wrote; and NODE, the module (default: that of the file)",
+            "backup, and NODE, the module (default: that of the file)",
             least=1,
             most=1,
             kind=node_or_file,
@@ -69,11 +69,11 @@ def register(commands: Commands) -> None:
         ),
         option("--save", action="store_true", help="save all parameters at the end (1010h)"),
         option("--preop", action="store_true", help="send the node to PRE-OPERATIONAL first; it stays there"),
-        option("--dry-run", action="store_true", help="only say what would change"),
+        option("--dry-run", action="store_true", help="only show what would change"),
         option(
             "--force",
             action="store_true",
-            help="also a backup of another major revision, less parameters that this version lacks",
+            help="even of another major revision, without parameters that this version lacks",
         ),
         JSON,
         TIMEOUT,

@@ -58,7 +58,7 @@ def register(commands: Commands) -> None:
         ),
         option("--out", type=Path, metavar="DIR", help="folder for table, samples and report"),
         JSON,
-        option("--save", action="store_true", help="save it (1010h); without, lost at a restart"),
+        option("--save", action="store_true", help="save the table (1010h); else a restart loses it"),
         group(
             "measurement",
             option(
@@ -92,7 +92,7 @@ def register(commands: Commands) -> None:
                 within=between(0, 10_000_000),
                 default=LEAST_SAMPLES,
                 metavar="N",
-                help=f"minimum number of samples; measure up to six times longer for it ({LEAST_SAMPLES})",
+                help=f"least number of samples; measured up to six times longer if needed ({LEAST_SAMPLES})",
             ),
             option(
                 "--verify",
@@ -105,7 +105,7 @@ def register(commands: Commands) -> None:
                 "--conditioning",
                 choices=("fit", "none"),
                 default="fit",
-                help="fit offset, gain and phase error first (default), or correct all by the table",
+                help="fit offset, gain and phase error first (default), or leave all to the table",
             ),
             option(
                 "--entries",

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 EXAMPLES = {
     "canfb": """
   canfb demo                                   a complete demonstration, without a bus
-  canfb try                                    a module to look at and to talk to, without hardware
+  canfb try                                    a module to watch and talk to, without hardware
   canfb config example > feedback.yaml         a configuration to start from
   canfb run feedback.yaml                      run its module on its bus
   canfb simulate feedback.yaml --rate 100      simulate encoder interface and machine, produce SYNC""",
@@ -140,10 +140,10 @@ COMMANDS = {
     "node": ("node_command", "who is on a bus; start, stop or reset nodes"),
     "sdo": ("sdo_command", "read, write or list objects of a node, by name or number"),
     "calibrate": ("calibrate", "measure the encoder, build its correction table and activate it"),
-    "commission": ("commission", "limits of the supervision from the machine's motion"),
+    "commission": ("commission", "choose limits of the supervision from the machine's motion"),
     "table": ("table_command", "the correction table of a module: show, read, write, activate, clear"),
     "backup": ("backup_command", "table and all parameters of a module: save to a file, restore from it"),
-    "log": ("log_command", "record the bus; put a recorded log through the same module"),
+    "log": ("log_command", "record the bus; replay a log through the same module"),
     "use": ("use", "the bus that commands use by default"),
 }
 

@@ -57,7 +57,7 @@ def register(commands: Commands) -> None:
             within=between(0.0, 1e9),
             default=0.0,
             metavar="RAD_S2",
-            help="an acceleration that the machine can do and may not show now, as an emergency stop",
+            help="acceleration of the machine that may not occur now, such as an emergency stop",
         ),
         option(
             "--watch",

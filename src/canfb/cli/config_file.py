@@ -91,12 +91,12 @@ def register(commands: Commands) -> None:
         "dcf",
         write_dcf,
         nodes(
-            "CONFIG.yaml, and which of its modules, if there are several; NODE alone is read on the bus",
+            "CONFIG.yaml, with a node-ID if it has several modules; a node-ID alone: read over the bus",
             least=1,
             most=1,
             file="subject",
         ),
-        option("--out", type=Path, metavar="FILE", help="the DCF (module-20h.dcf), overwritten"),
+        option("--out", type=Path, metavar="FILE", help="the DCF (module-20h.dcf); replaced"),
         option("--concise", type=Path, metavar="FILE", help="the concise form, for object 1F22h"),
         option(
             "--table",

@@ -49,7 +49,7 @@ OF_A_FOLDER = ("workers",), "is for a folder of logs"
 
 def register(commands: Commands) -> None:
     parts = add_group(commands, "log")
-    text = "what canfb log record or candump -L wrote; and NODE, to replay only this module"
+    text = "log of canfb log record, candump -L or others; and NODE, to replay only this module"
     add_command(
         parts,
         "replay",
@@ -57,13 +57,15 @@ def register(commands: Commands) -> None:
         nodes(text, least=1, most=1, kind=node_or_file, file="log", name="LOG|FOLDER"),
         group(
             "module",
-            option("--encoder-interface", type=whole_number, metavar="ID", help="sends the ADC counts"),
+            option(
+                "--encoder-interface", type=whole_number, metavar="ID", help="node that sends the ADC counts"
+            ),
             option(
                 "--set",
                 action="append",
                 default=[],
                 metavar="KEY=VALUE",
-                help="another value of a key of the module",
+                help="override a key of the module",
             ),
             option("--table", metavar="FILE", help="correction table to try in place of the saved one"),
             option("--state", type=Path, metavar="DIR", help="state_dir of the module; only read"),
@@ -74,20 +76,20 @@ def register(commands: Commands) -> None:
                 "--begin",
                 choices=[one.value for one in Begin if one is not Begin.BOOT_UP],
                 default=Begin.AUTO.value,
-                help="NMT state of the module at the beginning; auto: as the first frames show",
+                help="NMT state of the module at the beginning; auto: from the first frames",
             ),
             option("--channel", metavar="NAME", help="one bus of several; .asc, .blf: from 0 (default: all)"),
         ),
         group(
             "results",
             option("--out", type=Path, metavar="FILE", help="the samples: .csv, .npz, .parquet"),
-            option("--frames", type=Path, metavar="FILE", help="what the module sends, as a bus log"),
+            option("--frames", type=Path, metavar="FILE", help="frames sent by the module, as a bus log"),
             option("--report", type=Path, metavar="FILE.html", help="a page with pictures"),
             JSON,
             option(
                 "--drift",
                 action=argparse.BooleanOptionalAction,
-                help="how far the encoder has moved from its table: takes seconds (default: of a folder)",
+                help="measure the drift of the encoder from its table, some seconds (default: for a folder)",
             ),
         ),
         group(
@@ -100,7 +102,7 @@ def register(commands: Commands) -> None:
                 help="processes (default: one per processor; 1: this one)",
             ),
         ),
-        summary="put a recorded bus log through the same module",
+        summary="replay a bus log through the same module",
     )
     add_command(
         parts,
@@ -110,7 +112,7 @@ def register(commands: Commands) -> None:
             "file",
             metavar="FILE",
             type=Path,
-            help="the suffix says which format: .log (candump), .asc, .blf, ...",
+            help="log to write, format by suffix: .log (candump), .asc, .blf, ...",
         ),
         CONFIG,
         option("--seconds", type=positive, metavar="S", help="how long (default: until Ctrl-C)"),

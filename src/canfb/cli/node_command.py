@@ -53,7 +53,7 @@ def register(commands: Commands) -> None:
         parts,
         "list",
         listed,
-        option("--seconds", metavar="S", type=positive, default=SCAN_S, help="to listen (1.2)"),
+        option("--seconds", metavar="S", type=positive, default=SCAN_S, help="how long to listen (1.2)"),
         JSON,
         node_options.CONFIG,
         add_bus_options,
@@ -70,7 +70,7 @@ def register(commands: Commands) -> None:
         option(
             "--communication", action="store_true", help="only the communication parameters (1000h to 1FFFh)"
         ),
-        option("--force", action="store_true", help="do not look whether the machine moves"),
+        option("--force", action="store_true", help="do not check that the machine stands still"),
         JSON,
         TIMEOUT,
         add_bus_options,

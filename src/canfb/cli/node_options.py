@@ -20,7 +20,7 @@ from canfb.master.all_or_nothing import Guard
 from canfb.rows import Result
 
 NODE = option("node", metavar="NODE", type=node_number, help="node-ID such as 32 or 0x20")
-CONFIG = option("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
+CONFIG = option("--config", metavar="CONFIG.yaml", help="take the bus from this configuration")
 DEFAULT_MODULE = 0x20
 ACCESS = JSON, CONFIG, TIMEOUT, add_bus_options
 

@@ -95,7 +95,7 @@ def group(title: str, *rows: Row) -> Row:
     return add
 
 
-JSON = option("--json", action="store_true", help="the result, for programs")
+JSON = option("--json", action="store_true", help="the result as JSON")
 TIMEOUT = option(
     "--timeout",
     type=float,
@@ -120,7 +120,7 @@ def add_group(commands: Commands, name: str, description: str = "") -> Commands:
 
 def add_bus_options(parser: Any) -> None:
     _bus_group(parser, OFTEN)
-    parser.add_argument("--help-bus", action=_HelpBus, nargs=0, help="all options of the bus, and exit")
+    parser.add_argument("--help-bus", action=_HelpBus, nargs=0, help="show all bus options and exit")
 
 
 def _bus_group(parser: argparse.ArgumentParser, shown: Iterable[str]) -> None:
@@ -308,7 +308,7 @@ def node_or_yaml(text: str) -> int | str:
 
 # Options of commands that measure.
 MEASURED_NODES = (
-    nodes("node-ID of the module (32), or CONFIG.yaml, whose first module is meant", most=1),
+    nodes("node-ID of the module (32), or CONFIG.yaml: its first module", most=1),
     option(
         "--encoder-interface",
         type=whole_number,
@@ -334,9 +334,7 @@ COLUMNS = (
         help="names or numbers (from 0) of the two columns (sine,cosine)",
     ),
     option("--mid-scale", type=float, default=0.0, metavar="READING", help="reading of a zero signal (0)"),
-    option(
-        "--scale", type=float, default=1.0, metavar="COUNTS", help="ADC counts for each volt of the file (1)"
-    ),
+    option("--scale", type=float, default=1.0, metavar="COUNTS", help="ADC counts per unit of the file (1)"),
     option("--time-column", metavar="NAME", help="column of times in seconds; gaps become missed samples"),
 )
 
@@ -372,7 +370,7 @@ def jitter_of(text: str) -> Row:
     )
 
 
-JITTER = jitter_of("have the SYNC jitter on purpose, uniformly")
+JITTER = jitter_of("uniform jitter of the produced SYNC")
 
 
 def jittered(config: Config, options: argparse.Namespace) -> Config:

@@ -18,8 +18,8 @@ from canfb.simulation.set_up import sync_rate
 # Numeric options: option, field of PlanOptions, metavar, help.
 NUMBERS = (
     ("--rate", "rate_hz", "HZ", "SYNC rate (that of sync_period_us, 1000)"),
-    ("--extra", "extra_load", "PART", "part of the bus that other nodes take, 0 to 1"),
-    ("--heartbeat", "heartbeat_ms", "MS", "heartbeat of each node that has none"),
+    ("--extra", "extra_load", "PART", "bus load of other nodes, 0 to 1"),
+    ("--heartbeat", "heartbeat_ms", "MS", "heartbeat of each node without one"),
     ("--rpm", "rpm", "RPM", "largest speed"),
     ("--acceleration", "acceleration_rad_s2", "RAD/S2", "largest acceleration"),
     ("--noise", "noise_counts", "COUNTS", "rms noise of a track (noise_lsb, 0.5)"),
@@ -27,7 +27,7 @@ NUMBERS = (
         "--phase-error",
         "phase_error_cycles",
         "CYCLES",
-        "largest error of a phase (0.0125; 0.001 with a table)",
+        "largest phase error (0.0125; 0.001 with a table)",
     ),
     ("--residual-limit", "residual_limit", "CYCLES", "of every module (residual_limit, 1/3)"),
 )
@@ -38,14 +38,14 @@ def register(commands: Commands) -> None:
         commands,
         "plan",
         plan,
-        option("config", metavar="CONFIG.yaml", nargs="?", help="without it: options alone"),
+        option("config", metavar="CONFIG.yaml", nargs="?", help="default: options alone"),
         option(
             "-b",
             "--bitrate",
             dest="bit_rate",
             type=whole_number,
             metavar="BIT/S",
-            help="(that of bus, 1000000)",
+            help="bit rate (that of bus, 1000000)",
         ),
         *(
             option(name, dest=field, type=float, metavar=word, help=text)
@@ -57,7 +57,7 @@ def register(commands: Commands) -> None:
             dest="cycles_per_revolution",
             type=whole_number,
             metavar="N",
-            help="per revolution (2500)",
+            help="cycles per revolution (2500)",
         ),
         option(
             "--samples-per-sync", type=whole_number, metavar="COUNT", help="1 to 8, of every interface (1)"

@@ -18,7 +18,7 @@ def register(commands: Commands) -> None:
         run,
         option("config", metavar="CONFIG.yaml"),
         option("-v", "--verbose", action="store_true", help="log single faults and each EMCY as well"),
-        option("--json", action="store_true", help="print one JSON object a line, for programs"),
+        option("--json", action="store_true", help="print one JSON object a line"),
         READY_FILE,
         add_bus_options,
     )

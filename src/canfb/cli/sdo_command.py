@@ -16,7 +16,7 @@ from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import SdoTasks, described_by, is_lost
 
 OBJECT = """the name in the EDS or its beginning, in any case ("residual limit", "supervision: residual"), \
-or index:sub as manuals have it, hexadecimal (2010:01)"""
+or index:sub as in manuals, hexadecimal (2010:01)"""
 
 COLUMNS = ("object", "access", "name", "unit")
 LOST = "the position is lost: canfb why {:#04x} says why, and what brings it back"
@@ -28,7 +28,7 @@ def register(commands: Commands) -> None:
     )
     node, access = node_options.NODE, node_options.ACCESS
     named = option("object", metavar="OBJECT", help=OBJECT)
-    eds = option("--eds", type=Path, metavar="FILE", help="EDS or DCF of a node that is not of canfb")
+    eds = option("--eds", type=Path, metavar="FILE", help="EDS or DCF of a node other than those of canfb")
     add_command(
         parts,
         "read",
@@ -45,7 +45,13 @@ def register(commands: Commands) -> None:
         "list",
         listed,
         node,
-        option("object", metavar="OBJECT", nargs="?", default="", help="only those with this in the name"),
+        option(
+            "object",
+            metavar="OBJECT",
+            nargs="?",
+            default="",
+            help="only those with this text in number or name",
+        ),
         option("--eds", type=Path, metavar="FILE", help="EDS or DCF (default: by the node's identity)"),
         *access,
         summary="the objects of a node by its EDS: number, name, access, unit",
@@ -63,8 +69,8 @@ def register(commands: Commands) -> None:
             help="12, 0x1F, -3.5, a text, bytes in hexadecimal, or a word (save); in the unit that read "
             'shows: 0.2 or "0.2 cycle"',
         ),
-        option("--raw", action="store_true", help="VALUE is the number of the object, in no unit"),
-        option("--file", type=Path, metavar="FILE", help="the bytes of a file instead of a VALUE"),
+        option("--raw", action="store_true", help="VALUE is the raw number, without a unit"),
+        option("--file", type=Path, metavar="FILE", help="write the bytes of a file instead of VALUE"),
         eds,
         *access,
         summary="write an object, and read it back",

@@ -24,7 +24,7 @@ def register(commands: Commands) -> None:
         commands, "table", "The correction table (2020h) and the conditioning (2002h) of a module."
     )
     node, access = node_options.NODE, node_options.ACCESS
-    force = option("--force", action="store_true", help="although the amplitude then leaves its limits")
+    force = option("--force", action="store_true", help="even if the amplitude then leaves its limits")
     save = option("--save", action="store_true", help="save it (1010h)")
     add_command(
         parts,
@@ -44,7 +44,7 @@ def register(commands: Commands) -> None:
         force,
         option("--save", action="store_true", help="with --activate: save it (1010h)"),
         *access,
-        summary="write the table of a file to the module, and stage it",
+        summary="stage the table of a file in the module",
         idle=[(["save"], "activate", True, "only with --activate, as a staged table is not saved")],
     )
     add_command(

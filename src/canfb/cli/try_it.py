@@ -59,10 +59,10 @@ def register(commands: Commands) -> None:
             within=RATES,
             default=100.0,
             metavar="HZ",
-            help="of SYNC, 50 to 1000 (100)",
+            help="SYNC rate, 50 to 1000 (100)",
         ),
         JITTER,
-        option("--no-page", action="store_true", help="without the page"),
+        option("--no-page", action="store_true", help="serve no page"),
         option(
             "--port",
             metavar="N",
@@ -71,8 +71,8 @@ def register(commands: Commands) -> None:
             default=0,
             help="of the page; default: any free port",
         ),
-        option("--json", action="store_true", help="JSON, for programs"),
-        option("--write-config", type=Path, metavar="FILE", help="write its configuration, for log replay"),
+        option("--json", action="store_true", help="print one JSON object a line"),
+        option("--write-config", type=Path, metavar="FILE", help="write the configuration, for log replay"),
         READY_FILE,
         idle=(
             (OF_THE_NETWORK, "story", False, "not with --story"),

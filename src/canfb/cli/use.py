@@ -23,7 +23,7 @@ def register(commands: Commands) -> None:
         commands,
         "use",
         use,
-        option("--forget", action="store_true", help="no default bus any more"),
+        option("--forget", action="store_true", help="remove the default bus"),
         add_bus_options,
         idle=(((*BUS_WORDS, "bus_kwargs"), "forget", False, "not with --forget"),),
     )

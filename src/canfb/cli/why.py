@@ -51,10 +51,10 @@ def register(commands: Commands) -> None:
             option(
                 "--bundle",
                 action="store_true",
-                help="write versions, settings, objects and log of the nodes (all that answer)",
+                help="write versions, settings, objects and log of these nodes (default: all that answer)",
             ),
-            option("--out", type=Path, metavar="FILE", help="(canfb-diagnose-DATE-TIME.json); replaced"),
-            option("--seconds", metavar="S", type=positive, default=LISTEN_S, help="to listen (2)"),
+            option("--out", type=Path, metavar="FILE", help="file (canfb-diagnose-DATE-TIME.json); replaced"),
+            option("--seconds", metavar="S", type=positive, default=LISTEN_S, help="how long to listen (2)"),
         ),
         TIMEOUT,
         add_bus_options,
