@@ -259,7 +259,7 @@ class LossCause(CodeWithText):
     COASTED = 1, "more samples in a row were bad or missing than 2010:03 allows"
     AMBIGUOUS = 2, "several motions within the declared limits fit the samples"
     CONTRADICTED = 3, "no motion within the declared limits fits the samples"
-    JUMP = 4, "the samples changed from one motion to another at once"
+    JUMP = 4, "the samples jumped from one motion to another"
     UNDECIDED = 5, "the samples did not decide between several motions in time"
     TIME = 6, "the number of intervals that passed is not known"
     PAUSE = 7, "the machine moved during a pause"

@@ -179,7 +179,7 @@ class Task:
             saved = [before.kept, wanted.kept] if "or the new values" in said else [before.kept]
             assert held.kept in ([wanted.kept] if done else saved), said
         else:
-            assert "could not be put back" not in said
+            assert "could not be restored" not in said
             assert held == (wanted if done else before), said
         return said
 

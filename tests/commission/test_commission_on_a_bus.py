@@ -231,7 +231,7 @@ def restart(bench: Bench) -> None:
 @each("options, spoil, words", [
     ({}, restart, r"module 32 \(20h\) was restarted meanwhile"),
     ({"table": False}, None, r"no correction table is active.*run canfb calibrate first"),
-    ({"motion": Motion(())}, None, "the machine stands still: nothing can be said of its acceler"),
+    ({"motion": Motion(())}, None, "the machine stands still: its acceleration cannot be measured"),
     ({"motion": FAR_TOO_FAST}, None, "the position is lost"),
     ({}, lose, r"the position is lost \(2011:01\)"),
     ({}, spoil_the_limit, "2010:02, largest acceleration, is nan"),

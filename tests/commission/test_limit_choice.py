@@ -175,7 +175,7 @@ def test_the_phase_error_is_the_whole_one_at_any_speed(cycles: float, starts: bo
     error = math.asin(0.1) / (2.0 * math.pi)
     assert not choice.changes or 0.97 * error <= choice.value / 65536 / 2.0 <= 1.15 * error
     assert choice.changes == starts
-    assert starts or "same few phases" in choice.why
+    assert starts or "only a few phases" in choice.why
 
 
 def test_a_larger_margin_gives_wider_limits() -> None:

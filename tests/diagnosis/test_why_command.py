@@ -165,7 +165,7 @@ def test_a_limit_that_was_too_narrow_is_named_also_after_it_was_set_back(canfb: 
     out = canfb(bench, "sdo", "write", NODE, "residual limit", "0.0001 cycle")[0]
     assert out == (
         "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle) -> 7 (0.000106812 cycle)\n"
-        "the position is lost by it: canfb why 0x20 says what brings it back\n"
+        "this lost the position: canfb why 0x20 says what brings it back\n"
     )
     if back:
         canfb(bench, "sdo", "write", NODE, "residual limit", "21845", "--raw")
@@ -197,7 +197,7 @@ def test_2010_03_counts_intervals_of_sync() -> None:
 
 def test_more_coasting_is_not_proposed_where_it_cannot_help() -> None:
     loss = replace(LOST.loss, cause=LossCause.COASTED)  # type: ignore[type-var]
-    said = {20: "more would not help at this acceleration", 3: "a larger value", 255: "the most that it can"}
+    said = {20: "more would not help at this acceleration", 3: "a larger value", 255: "its largest value"}
     for many, words in said.items():
         assert words in replace(with_limits(coast_samples=many), loss=loss).would_have_kept()[0]
 

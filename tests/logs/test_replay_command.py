@@ -158,7 +158,7 @@ def test_damaged_lines_are_left_out_and_counted(log: Path, command: Command) -> 
     assert "1 error frames left out" in text
     assert "2 frames with 29-bit identifiers or CAN FD left out" in text
     assert text.splitlines()[0].split(None, 1)[1] == (
-        "1 frames of channel can1 left out: --channel takes those of can0 alone"
+        "1 frames of channel can1 left out: --channel selects can0"
     )
     assert "faults: 1 × missed" in text
     for line in ("monitor --frames 0x20", "monitor --json"):
@@ -196,9 +196,9 @@ def test_what_is_left_out_is_said_first_and_no_page_is_green(tmp_path: Path, com
     left_out = sum(" c " in line for line in path.read_text().splitlines())
     assert left_out >= SAMPLES
     assert text.splitlines()[0].split(None, 1)[1] == (
-        f"{left_out} frames of channel c left out: --channel takes those of a alone"
+        f"{left_out} frames of channel c left out: --channel selects a"
     )
-    missing = f"faults: none in what was taken; {left_out} frames with CAN-IDs of this module were left out"
+    missing = f"faults: none in the samples used; {left_out} frames with CAN-IDs of this module were left out"
     assert missing in text
     assert missing in page.read_text()
     assert 'class="verdict bad"' in page.read_text()
@@ -387,7 +387,7 @@ def test_of_two_processes_the_one_that_is_killed_costs_its_log(
     monkeypatch.setattr(log_replay, "rows_of", kill_first)
     rows = do_work(*work_of(folder, SETTINGS, None), SETTINGS, None, 2)
     lost = [row for row in rows if row["log"] == "monday/3.blf"]
-    assert [row["error"] for row in lost] == ["its process was ended again and again"]
+    assert [row["error"] for row in lost] == ["its process was ended repeatedly"]
     assert comparable(row for row in rows if row not in lost) == comparable(
         row for row in expected if row["log"] != "monday/3.blf"
     )

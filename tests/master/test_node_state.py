@@ -166,9 +166,9 @@ CASES: list[tuple[Callable[[], Bench], tuple[str, ...], str]] = [
     (lambda: running(motion=STARTS), (), "began to move while it was reset"),
     (lambda: slow(5.0), (), "position valid"),
     (lambda: slow(100.0), (), "position valid"),
-    (lambda: running(motion=STILL, sync=False), (), "so it cannot be seen whether the machine stands still"),
+    (lambda: running(motion=STILL, sync=False), (), "so it is not known whether the machine stands still"),
     (deaf_once_it_is_reset, (), "done: node 32 (20h) is reset and started; but then node 32"),
-    (silent, (), "so it cannot be seen whether the machine stands still"),
+    (silent, (), "so it is not known whether the machine stands still"),
     (at_a_whole_cycle, (), "the machine moves, it has moved by +"),
 ]
 

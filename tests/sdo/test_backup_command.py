@@ -86,7 +86,7 @@ def test_a_spare_module_becomes_the_one_of_the_backup(canfb: Commands, tmp_path:
     assert spare.module.chain.correction == first.module.chain.correction
     assert "2010:03 Supervision: Samples to coast: 1 -> 9 samples" in out
     assert f"correction table: none -> {TABLE.crc32:08X}h" in out
-    assert "proven by reading all of them back\nsaved (1010:01)\n" in out
+    assert "verified by reading all of them back\nsaved (1010:01)\n" in out
     assert "note: the backup is of serial number 4711, this module has 4712" in out
     spare.module.receive(Frame(0, b"\x81\x20"), 1.0)
     assert values(spare) == values(first), "after a reset"
@@ -260,7 +260,7 @@ def test_backups_of_other_devices(canfb: Commands, file: Path) -> None:
     edit(file, '"2010:03"', '"2010:63"')
     out, _ = canfb(bench, "backup", "restore", file, "--force")
     assert "note: left out, as this version does not know them: 2010:63" in out
-    assert "note: not in the backup, and as before: 2010:03" in out
+    assert "note: not in the backup, unchanged: 2010:03" in out
     assert (values(bench)[0x2010, 3], values(bench)[0x2010, 2]) == (3, 12.5)
 
 

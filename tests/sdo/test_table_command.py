@@ -110,13 +110,13 @@ def test_a_module_that_does_not_say_what_it_has_saved(canfb: Commands) -> None:
     bench = bench_with(NEW)
     del bench.module.dictionary._entries[0x2020, 6]
     out, _ = canfb(bench, "table", "show", NODE)
-    assert "saved            not known: this module does not say it (2020:06)" in out
+    assert "saved            not known: this module does not report it (2020:06)" in out
 
 
 @pytest.mark.parametrize(
     ("first", "words"),
     [
-        (FULL, "module 32 (20h) cannot save: no space left where it keeps its parameters"),
+        (FULL, "module 32 (20h) cannot save: no space left for its parameters"),
         (KeyboardInterrupt, "interrupted; the table and the conditioning from before are in force"),
     ],
 )

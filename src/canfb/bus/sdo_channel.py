@@ -120,7 +120,9 @@ class SharedClient(SdoClient):
             if data[0] == ABORT and data[1:4] in (self._place, bytes(3)):
                 raise SdoAbortedError(int.from_bytes(data[4:], "little"))
             self.disturbed = True
-            said = f"only answers to others come (the last: {data.hex()}): another master uses this node"
+            said = (
+                f"only answers to others are received (the last: {data.hex()}): another master uses this node"
+            )
 
     def request_response(self, sdo_request: bytes) -> bytes:
         command, place = sdo_request[0], bytes(sdo_request[1:4])

@@ -288,7 +288,7 @@ positive = checked(float, lambda value: 0.0 < value < 1e9, "is not a number abov
 def size(text: str) -> int:
     found = re.fullmatch(r"([1-9][0-9]{0,11})([kMG]?)B?", text)
     if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no size; write it as 500k, 100M or 2G")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 500k, 100M or 2G")
     return int(found[1]) * {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}[found[2]]
 
 
@@ -352,7 +352,9 @@ def jitter(text: str) -> Jitter:
     """Type for argparse: 20us, 0.1ms, 2e-5 or 2e-5s, or 30% of the period."""
     found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?(?:e-?[0-9]{1,2})?) ?(%|[mu\u00b5]?s|)", text)
     if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no jitter; write 20us, 0.1ms, 2e-5 (seconds) or 30%")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a jitter such as 20us, 0.1ms, 2e-5 (seconds) or 30%"
+        )
     return Jitter(float(found[1]) * UNITS_S[found[2]], found[2] == "%")
 
 

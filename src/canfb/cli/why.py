@@ -35,7 +35,9 @@ from canfb.files import check_writable, write_whole
 from canfb.master.access import CommissioningError, NodeAccess
 
 LISTEN_S = 2.0
-STATUS_WORD = checked(whole_number, lambda word: 0 <= word <= 0xFFFF, "is no status word (0x0000 to 0xFFFF)")
+STATUS_WORD = checked(
+    whole_number, lambda word: 0 <= word <= 0xFFFF, "is not a status word (0x0000 to 0xFFFF)"
+)
 
 
 def register(commands: Commands) -> None:
@@ -51,7 +53,7 @@ def register(commands: Commands) -> None:
             option(
                 "--bundle",
                 action="store_true",
-                help="write versions, settings, objects and log of these nodes (default: all that answer)",
+                help="write versions, settings, log, and objects of NODE (default: of CONFIG.yaml, or all)",
             ),
             option("--out", type=Path, metavar="FILE", help="file (canfb-diagnose-DATE-TIME.json); replaced"),
             option("--seconds", metavar="S", type=positive, default=LISTEN_S, help="how long to listen (2)"),

@@ -197,7 +197,7 @@ def notes(done: Commissioned) -> list[str]:
             done.observed.motion.turned < done.new.settings.cycles_per_revolution,
             "the machine moved less than one revolution: the amplitude elsewhere on the scale is not known",
         ),
-        (missed, f"{missed} samples did not come: each is flagged, whatever the limits"),
+        (missed, f"{missed} samples are missing: each is flagged with any limits"),
     )
 
 
@@ -281,7 +281,7 @@ def findings(done: Commissioned) -> Findings:
 
 FOOTER = (
     "Made by canfb commission. L is the residual limit in force, a the largest acceleration, in "
-    "cycles and sampling intervals. The limits hold for the motion that was seen, times the margin."
+    "cycles and sampling intervals. The limits hold for the measured motion, times the margin."
 )
 
 
@@ -320,7 +320,7 @@ def _pictures(done: Commissioned) -> list[str]:
         ),
         figure(
             "Acceleration over time",
-            "averaged as far as the noise demands, with the limit 2010:02",
+            "averaged as the noise requires, with the limit 2010:02",
             pictures.acceleration_over_time(
                 to_rad * smooth_acceleration(machine.motion.residual), interval_s, to_rad * largest
             ),
@@ -475,6 +475,6 @@ def _prove(observed: Observation, new: SupervisionLimits) -> None:
     more = {name: count for name, count in again.flagged.items() if count > before.get(name, 0)}
     if more:
         raise CommissioningError(
-            f"the limits would flag samples of this very measurement ({in_words(more)}): set a larger "
-            "--margin, and look at the samples that are far from all others"
+            f"the limits would flag samples of this measurement ({in_words(more)}): set a larger "
+            "--margin, and examine the outliers"
         )

@@ -199,7 +199,7 @@ def _phase_error(motion: MotionFigures, margin: float) -> Chosen:
             "too little for the phases to show their errors",
         )
     if math.isnan(motion.fitted_error):
-        return None, "the same few phases came again and again: let the machine turn at other speeds, too"
+        return None, "only a few phases were sampled: let the machine turn at other speeds, too"
     least = CALIBRATED_PHASE_ERROR_CYCLES
     largest, why = _largest(
         (least, f": {least:g}, so that the encoder may drift from its table"),
@@ -289,7 +289,7 @@ def observe(
     flagged = followed.flagged
     if sum(flagged.values()) > MOST_FLAGGED * len(samples):
         raise CommissioningError(
-            f"of {len(samples)} samples many are flagged already ({in_words(flagged)}): find the cause first "
+            f"many of {len(samples)} samples are flagged already ({in_words(flagged)}): find the cause first "
             "(docs/supervision.md)"
         )
     low_pass = low_pass_of(followed, interval_s, limits.settings.corners)
@@ -301,7 +301,7 @@ def observe(
     motion = motion_figures(followed)
     if motion.turned < LEAST_OBSERVED_CYCLES or motion.moving < LEAST_MOVING:
         raise CommissioningError(
-            "the machine stands still: nothing can be said of its acceleration; let it do its normal duty "
+            "the machine stands still: its acceleration cannot be measured; let it do its normal duty "
             "meanwhile"
         )
     if motion.change > MOST_CHANGE_CYCLES:

@@ -76,7 +76,7 @@ ADVICE: tuple[tuple[tuple[LossCause, ...], bool | None, str], ...] = (
     (
         (LossCause.PAUSE,),
         None,
-        "a machine that stands still before NMT stop, preop or another RPDO mapping, until samples come",
+        "standstill from before NMT stop, preop or another RPDO mapping until samples come again",
     ),
     (
         (LossCause.START,),
@@ -226,10 +226,10 @@ class LostPosition:
             "coarse track: finds the speed, in motion too; the count if 2010:05 is below half a cycle"
             if self.coarse
             else "coarse track: not mapped (2000:03 and 2000:04 in an RPDO)",
-            "zero pulse: two that agree set the count right, once coarse track or two pulses know the speed"
+            "zero pulse: two that agree correct the count, once coarse track or two pulses give the speed"
             if self.zero_pulse
             else "zero pulse: not mapped (2000:06 in an RPDO)",
-            "second position: finds the count by itself if exactly one is within its tolerance"
+            "second position: finds the count alone if exactly one is within its tolerance"
             if self.second
             else "second position: not in use (2000:0E in an RPDO, and a tolerance in 2014:04)",
         ]
@@ -262,7 +262,7 @@ class LostPosition:
             ),
             (
                 cause in MOTION,
-                "a correction table of this encoder: canfb calibrate --check says whether the active one is"
+                "a correction table of this encoder: check the active one by canfb calibrate --check"
                 if self.status & StatusBit.TABLE_ACTIVE
                 else "a correction table, which removes phase errors: canfb calibrate",
             ),
@@ -274,7 +274,7 @@ class LostPosition:
         time = f", {bridged / self.sample_hz * 1e3:.3g} ms" if self.sample_hz else ""
         text = f"2010:03 bridges {bridged} samples{time}"
         if self.limits.coast_samples >= MOST_IN_A_ROW:
-            return f"{text}, the most that it can"
+            return f"{text}, its largest value"
         most = self.longest_gap() if loss.faults & StatusBit.MISSED else None
         if most is not None and most <= bridged:
             return f"{text}; more would not help at this acceleration (2010:02) and SYNC rate"
@@ -283,7 +283,7 @@ class LostPosition:
     def _declared(self) -> str:
         most, largest = self.longest_gap(), self.limits.acceleration_rad_s2
         said = "" if most is None else f", which bridges at most {most} missed samples"
-        known = f"2010:02 is {largest:.4g} rad/s²{said}; a smaller one, if it is true, "
+        known = f"2010:02 is {largest:.4g} rad/s²{said}; a smaller one, if true, "
         return f"{known}or a faster SYNC bridges more" if largest else NOT_DECLARED
 
     def longest_gap(self) -> int | None:

@@ -135,7 +135,7 @@ class LogCounters:
                     self.not_canopen,
                     f"{self.not_canopen} frames with 29-bit identifiers or CAN FD left out",
                 ),
-                (self.late, f"{self.late} frames with stamps out of order, put in their places"),
+                (self.late, f"{self.late} frames with stamps out of order, sorted"),
             ),
         ]
         return [
@@ -155,7 +155,7 @@ class LogCounters:
         return those(
             (
                 left_out,
-                f"{number} frames of channel {left_out} left out: --channel takes those of {taken} alone",
+                f"{number} frames of channel {left_out} left out: --channel selects {taken}",
             ),
             (
                 len(self.channels) > 1 and not left_out,

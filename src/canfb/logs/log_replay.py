@@ -454,7 +454,7 @@ def _done(
     for job in jobs:
         yield job, rows_of(job, settings)
     for job in lost:
-        yield job, failed_rows(job, settings, "its process was ended again and again")
+        yield job, failed_rows(job, settings, "its process was ended repeatedly")
 
 
 def _on(

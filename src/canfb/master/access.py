@@ -390,9 +390,9 @@ def watch_standstill(module: NodeAccess, progress: Progress) -> MachineLook:
         module.master.wait(max(STEP_S, newest.seconds(len(seen)) / 2.0))
     if len(seen) < least:
         raise CommissioningError(
-            f"{module.name}: {len(seen)} samples, then none for {PATIENCE_S:g} s, so it cannot be seen "
+            f"{module.name}: {len(seen)} samples, then none for {PATIENCE_S:g} s, so it is not known "
             "whether the machine stands still: SYNC, encoder interface and module must run (canfb node "
-            "start). --force resets it nevertheless"
+            "start). --force resets it anyway"
         )
     first, *_ = seen.values()
     off = [apart(phase, first) for phase in seen.values()]
@@ -431,7 +431,7 @@ def _refuse_motion(module: NodeAccess, progress: Progress, before: int, of: int)
     if look.moves:
         raise CommissioningError(
             f"{module.name}: the machine moves, {look.text}: not reset. A start in motion may count wrong; "
-            "stop the machine first. --force resets it nevertheless"
+            "stop the machine first. --force resets it anyway"
         )
 
 

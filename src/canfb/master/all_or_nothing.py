@@ -116,7 +116,7 @@ def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str:
         if error.code != AbortCode.HARDWARE:
             raise
         raise CommissioningError(
-            f"{module.name} cannot save: no space left where it keeps its parameters, or a memory that fails "
+            f"{module.name} cannot save: no space left for its parameters, or failing memory "
             f"(its log, of canfb run, names the file): {error}"
         ) from None
     return f"1010:{store.subindex:02X}"
@@ -241,8 +241,7 @@ def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: 
             failure = error
     saved = EITHER if saving else "what is saved in it"
     raise CommissioningError(
-        f"{what} could not be put back ({failure}): switch {module.name} off and on, which brings back "
-        f"{saved}"
+        f"{what} could not be restored ({failure}): switch {module.name} off and on, which restores {saved}"
     ) from failure
 
 

@@ -196,7 +196,7 @@ def check_valid(module: NodeAccess) -> None:
     if status & od.StatusBit.LOST:
         raise CommissioningError(
             f"{module.name}: the position is lost (2011:01), so its speed is not known: let the machine "
-            "stand still, start the node again (NMT), and see that the present limits hold"
+            "stand still, start the node again (NMT), and check its limits"
         )
     if not status & (od.StatusBit.VALID | od.StatusBit.COASTING):
         raise CommissioningError(

@@ -73,7 +73,7 @@ class NodeEvents(Application):
 
     def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
         self._parameters(EventKind.SAVED, saved, "saved", now, dropped=False)
-        what = "dropped, the defaults come with the next reset"
+        what = "dropped; the next reset loads the defaults"
         self._parameters(EventKind.SAVED, forgotten, what, now, dropped=True)
 
     def saving_failed(self, groups: Groups, reason: str, now: float) -> None:

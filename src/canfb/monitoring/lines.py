@@ -175,7 +175,7 @@ def position_words(module: ModuleSnapshot) -> str:
 def lost_words(node: NodeSnapshot, module: ModuleSnapshot) -> str:
     if is_stale(module) or module.position_state != PositionState.LOST:
         return ""
-    return f"canfb why {node.node_id:#04x}: {module.lost_by or 'its cause was not heard'}"
+    return f"canfb why {node.node_id:#04x}: {module.lost_by or 'its cause is not known'}"
 
 
 def is_stale(module: ModuleSnapshot) -> bool:

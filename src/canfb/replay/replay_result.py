@@ -74,20 +74,20 @@ class ReplayResult:
         return those(
             (
                 module.counters.long_rpdos and not module.config.times,
-                "the ADC PDOs are longer than their mapping: have they sample times (--set times=true)?",
+                "the ADC PDOs are longer than their mapping: do they carry sample times (--set times=true)?",
             ),
             (
                 module.counters.short_rpdos and module.config.times,
-                "the ADC PDOs are shorter than their mapping: have they no sample times (--set times=false)?",
+                "the ADC PDOs are shorter than their mapping: do they lack sample times (--set times=false)?",
             ),
             (
                 moves,
-                "the log begins in motion, behind the start of the module: --begin, docs/monitor.md",
+                "the log begins in motion, after the start of the module: --begin, docs/monitor.md",
             ),
             (changed, f"the recorded module had other values in {changed}: --config or --state"),
             (
                 compared and more > 0 and not changed,
-                f"{more} EMCY are not in the log: were the limits others (--config, --state)?",
+                f"{more} EMCY are not in the log: were the limits different (--config, --state)?",
             ),
         )
 
@@ -97,11 +97,9 @@ class ReplayResult:
         missing = left_out if self.left_out else ""
         samples = self.replay.samples.rows - faults.samples["missed"]
         if not samples:
-            return (
-                f"no sample came to the module: look at --encoder-interface, --begin and --channel{missing}"
-            )
+            return f"the module received no sample: check --encoder-interface, --begin and --channel{missing}"
         bad = [f"{times} × {kind}" for kind, times in faults.times.items() if times]
-        found = ", ".join(bad) if bad else "none in what was taken" if missing else "none"
+        found = ", ".join(bad) if bad else "none in the samples used" if missing else "none"
         return f"{samples} samples; faults: {found}{missing}"
 
     def _verdict(self) -> Row:
@@ -154,7 +152,7 @@ class ReplayResult:
             ("restarts", "restarts", replay.restarts, "power-ups of the recorded module within the log"),
             ("clock", "steps_back", replay.steps_back, "times the clock of the log was set back"),
             ("gaps", "gaps", replay.gaps, "silences of more than a minute, each replayed as one of a minute"),
-            ("time stamps", None, replay.bad_stamps, "that are no numbers"),
+            ("time stamps", None, replay.bad_stamps, "that are not numbers"),
             ("EMCY", "emergencies", replay.emergencies, "sent"),
         )
         counts = [

@@ -33,7 +33,7 @@ STREAM = "/events"
 MOST_CONNECTIONS = 32
 MOST_WAITING = 64  # waiting events of a page; with more it is disconnected, and connects again
 IDLE_S = 10.0  # time-out for a request, and for a peer to receive data
-OPEN_ADDRESS = "open the address that canfb has printed at its last start, with all that follows the #"
+OPEN_ADDRESS = "open the address printed at the last start of canfb, with all after the #"
 
 # Files served without token: they contain nothing secret.
 FILES = {

@@ -380,7 +380,7 @@ def restored_result(
     dry_run: bool,
 ) -> Result:
     count = f"{len(done.changes)} of {len(backup.values) + 1} values"
-    written = f"{count} changed to those of {path}, proven by reading all of them back"
+    written = f"{count} changed to those of {path}, verified by reading all of them back"
     nothing = f"all values are those of {path} already; nothing was written"
     lines = [
         *(_change(place, pair, described) for place, pair in done.changes.items()),
@@ -420,7 +420,7 @@ def _notes(backup: Backup, done: Restored, *, preop: bool) -> list[str]:
             backup.unknown,
             f"left out, as this version does not know them: {', '.join(backup.unknown)}",
         ),
-        (untouched, f"not in the backup, and as before: {untouched}"),
+        (untouched, f"not in the backup, unchanged: {untouched}"),
         (preop, f"the node is in PRE-OPERATIONAL: canfb node start {done.module.node_id:#04x}"),
     )
     return [f"note: {note}" for note in notes]

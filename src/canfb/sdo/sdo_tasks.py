@@ -153,7 +153,7 @@ _OF_PLACE: dict[str, dict[Place, str]] = {
     },
     INTERFACE: {
         od.INTERFACE_MACHINE: "only a simulated motion stops here: no drive, recording or real converter",
-        od.RECORDING_COMMAND: "what is sampled is a file: it has no samples between two SYNCs",
+        od.RECORDING_COMMAND: "the source is a file, without samples between two SYNCs",
     },
 }
 
@@ -345,7 +345,7 @@ class SdoTasks:
             master.wait(LOOK_S)
             samples = (node.integer(*od.FEEDBACK_SAMPLES, "I") - first) % (1 << 32)
         if not self._is_valid():
-            return f"the position is lost by it: canfb why {node.node_id:#04x} says what brings it back"
+            return f"this lost the position: canfb why {node.node_id:#04x} says what brings it back"
         limits = limit_settings(node.read_known)
         sync_hz = samples / (master.now() - began) / limits.samples_per_sync
         needed = limits.needed_cycles(sync_hz)

@@ -286,7 +286,7 @@ class TableState:
 
     def _saved(self) -> str:
         if self.saved is None:
-            return "not known: this module does not say it (2020:06)"
+            return "not known: this module does not report it (2020:06)"
         if self.saved:
             return "yes" if self.used.crc32 else "none is saved, none is active"
         kept = f"{self.saved_crc32:08X}h" if self.saved_crc32 else "none"
@@ -327,7 +327,7 @@ class TableTasks:
             done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
         else:
             done = self._staged(new, table)
-        stays = "" if file.with_conditioning else "; it knows no conditioning, that of the module stays"
+        stays = "" if file.with_conditioning else "; it has no conditioning, that of the module stays"
         head = f"{file.path}: {table.crc32:08X}h, {len(table)} entries{stays}"
         return self._result(done, before, new, [head], notes)
 
