@@ -20,7 +20,7 @@ NAME_WIDTH = 24  # of the names of most commands, characters
 
 
 class Row:
-    """One fact: a name, "" if it goes on from the row above; its words, one for each column; its figures."""
+    """One fact: a name, "" if it continues the row above; its words, one for each column; its figures."""
 
     __slots__ = ("figures", "name", "words")
 

@@ -185,7 +185,7 @@ def test_the_page(browser: Chromium, page: Process) -> None:
     server = address.partition("#")[0]
     browser.size(1400, 1900)
     browser.go(server)
-    browser.wait_for(lambda: "Open the address that canfb has printed" in browser.text("#lost"), "refusal")
+    browser.wait_for(lambda: "Open the address printed at the last start" in browser.text("#lost"), "refusal")
     browser.go(address)
     browser.wait_for(lambda: "with the active" in browser.text("#deviation"), "legend")
     browser.wait_for(lambda: "% rms" in browser.text("#curve"), "deviation of a machine that turns")

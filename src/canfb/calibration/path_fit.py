@@ -60,7 +60,7 @@ class Fundamental(NamedTuple):
 class LowPass:
     """A low-pass of one pole, fitted to the amplitudes over the speed.
 
-    per_hz          1 / corner, 0.0: none is detected; sigma_per_hz: its uncertainty
+    per_hz          1 / corner, 0.0: none detected; sigma_per_hz: its uncertainty
     top_hz          the highest speed
     misfit          largest relative difference of an amplitude from the fit
     checked         the speeds suffice to judge by misfit whether it is one pole

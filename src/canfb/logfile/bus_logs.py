@@ -57,7 +57,7 @@ def in_order(batches: Iterable[list[Frame]], counters: LogCounters) -> Iterator[
     """The frames in the order of their stamps, though some were written late.
 
     In the result stamps (seconds, any clock) decrease only where the clock was set. Frames of equal stamp
-    keep their order, and those with a stamp that is no number their place.
+    keep their order, and those whose stamp is not a number their place.
 
     The frames after a step back decide, until their stamps have risen by half of the step or the log ends.
     The clock was set if none of them reaches the newest stamp, if they are fewer than the frames with a later

@@ -84,7 +84,7 @@ class DeviceConfiguration:
         return values
 
     def writes(self) -> list[Write]:
-        """SDO writes in an order that a module in Pre-operational accepts, whatever it held before.
+        """SDO writes in an order that a module in Pre-operational accepts, with any previous values.
 
         First all is switched off; then the parameters, the table with the conditioning, the numbers of
         mapped objects, 1006h, the COB-IDs, and last 1020h, which any other write would clear.

@@ -78,7 +78,7 @@ class Sampling:
         self._publishing.outdated(now)
 
     def _go_on(self, now: float) -> None:
-        """At the first sample, go on after a pause: from the last SYNC, whose sample may not have come."""
+        """At the first sample, continue after a pause: from the last SYNC, whose sample may not have come."""
         if self._paused:
             self._paused = False
             before_s = self._interval_s

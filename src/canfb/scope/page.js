@@ -212,8 +212,8 @@
     stream.addEventListener("past", begin);
     stream.addEventListener("look", look);
     stream.onerror = () => say(stream.readyState === EventSource.CLOSED
-      ? "Open the address that canfb has printed at its last start, with all that follows the #."
-      : "The connection to canfb is lost; the values are old. If canfb has ended, start it again and open the address that it prints.");
+      ? "Open the address printed at the last start of canfb, with all after the #."
+      : "The connection to canfb is lost; the values are old. If canfb has ended, start it again and open the printed address.");
   };
 
   addEventListener("resize", resize);

@@ -210,7 +210,7 @@ class SignalChain:
         self._forget_times_of_samples()
 
     def resume(self, intervals: float = 0.0) -> None:
-        """Go on after a pause of ``intervals`` of SYNC in which the machine moved less than half a cycle.
+        """Continue after a pause of ``intervals`` of SYNC in which the machine moved less than half a cycle.
 
         The position is lost if the machine could have left the cycle meanwhile at its speed, if it stood and
         its next phase differs, or if it was in doubt and not valid. A lost position starts again at cycle
@@ -310,7 +310,7 @@ class SignalChain:
         return feedback._replace(status=feedback.status & ~VALID | COASTING)
 
     def _restarted(self, sample: Sample, least: float = 1.0) -> Feedback:
-        """Go on after a restart of the interface's clock, or after an unknown number of missed SYNCs.
+        """Continue after a restart of the interface's clock, or after an unknown number of missed SYNCs.
 
         The position is lost if several motions are left, or samples of a doubt were not used. A machine that
         creeps may have moved for as long as the times show.

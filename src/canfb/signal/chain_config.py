@@ -60,7 +60,7 @@ class ChainConfig:
     cosine_corner_hz        the same for the cosine track, 0..1e9 Hz (2001:06); 0: equal
     residual_limit          largest accepted residual, 0 < limit <= 0.5 cycles (2010:01, eq. 12)
     coast_samples           0..255 intervals (of SYNC, if any) to bridge until the position is lost (2010:03)
-    frozen_samples          0..255 successive repeats that reveal a dead converter, not whole cycles per
+    frozen_samples          0..255 successive repeats that reveal a dead converter, even at whole cycles per
                             sample (2010:04): 16 with half a count of noise. 0: off, for a converter
                             without noise
     coarse_limit_revolutions  largest error of the coarse track, above 0, at most 0.25 (2010:05)

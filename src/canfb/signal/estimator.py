@@ -105,7 +105,7 @@ class Estimator:
         self.places.clear()
 
     def resume(self) -> None:
-        """Go on at standstill from the last position, even if in doubt; from cycle count 0 if it was lost."""
+        """Continue at standstill from the last position, even in doubt; from cycle count 0 if it was lost."""
         if self.lost or not self.places:
             self.restart()
         else:
@@ -170,7 +170,7 @@ class Estimator:
         self.places.extend(place for place in places if place is not None)
 
     def go_on(self, run: TrackResult, taken: int) -> None:
-        """Go on after the first ``taken`` > 0 samples of a ``run`` on arrays, counted by eq. 9."""
+        """Continue after the first ``taken`` > 0 samples of a ``run`` on arrays, counted by eq. 9."""
         new = slice(max(0, taken - REMEMBERED_SAMPLES), taken)
         counts, phases = run.cycles[new].tolist(), run.phase[new].tolist()
         self.tracker.go_on(run, taken)

@@ -1,4 +1,4 @@
-"""Pauses and resets: whether the position can go on, or start again, with what was known before.
+"""Pauses and resets: whether the position can continue, or start again, with what was known before.
 
 No cycles are counted in a pause. The position is lost if the machine could have left its cycle, by its speed
 and the declared acceleration. After a reset it starts again at cycle count 0, or is lost if the machine may
@@ -17,7 +17,7 @@ FASTEST_STANDSTILL_CYCLES = 0.5  # per interval: from this speed on, eq. 9 canno
 
 
 class Pauses:
-    """How ``stages`` go on after a time without counting. Intervals are from sample to sample."""
+    """How ``stages`` continue after a time without counting. Intervals are from sample to sample."""
 
     def __init__(self, stages: Stages) -> None:
         self._stages, self._estimator = stages, stages.estimator
@@ -45,7 +45,7 @@ class Pauses:
         self._stages.restart()
 
     def resume(self, intervals: float) -> bool:
-        """Go on after ``intervals``; True if the position goes on, False if it starts again.
+        """Continue after ``intervals``; True if the position continues, False if it starts again.
 
         The rules are in :meth:`canfb.signal.chain.SignalChain.resume`.
         """

@@ -45,7 +45,7 @@ _new = tuple.__new__  # makes a named tuple in half the time that its own constr
 
 
 class Extras(NamedTuple):
-    """What a sample has beside two counts in turn.
+    """Data of a sample beside two counts in turn.
 
     sample    the sample, with coarse track and zero pulse
     unplaced  its instant is not known, so it is not used
@@ -168,7 +168,7 @@ class Stages:
         self._forget_sample(speed_cycles)
 
     def resume(self, displacement_cycles: float, spread_cycles: float = 0.0, starts: bool = True) -> None:
-        """Go on after a pause in which the machine stopped or moved ``displacement_cycles``; inf: lost."""
+        """Continue after a pause in which the machine stopped or moved ``displacement_cycles``; inf: lost."""
         # After a change of the correction, the next phase cannot be compared with the last one.
         shows = self._tracker.started and self._activated < self.samples
         self.reference.restart(keep=True)

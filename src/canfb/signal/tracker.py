@@ -106,14 +106,14 @@ class Tracker:
         return self.started and self.gap == 0.0 and self.elapsed == 1.0
 
     def set_places(self, before: Track, last: Track, elapsed: float = 1.0) -> None:
-        """Go on from two samples, ``before`` and ``last``, ``elapsed`` intervals apart."""
+        """Continue from two samples, ``before`` and ``last``, ``elapsed`` intervals apart."""
         self.started, self.elapsed, self.gap = True, elapsed, 0.0
         self._phase_before, self._phase = before.phase, last.phase
         self.cycles, self._step = last.cycles, last.cycles - before.cycles
         self._find_speed()
 
     def go_on(self, result: TrackResult, stop: int) -> None:
-        """Go on after ``result[:stop]``, ``stop`` > 0: samples that were counted one interval apart."""
+        """Continue after ``result[:stop]``, ``stop`` > 0: samples that were counted one interval apart."""
         new = range(max(0, stop - 2), stop)
         counted = (Track(int(result.cycles[at]), float(result.phase[at]), 0.0, True) for at in new)
         *_, before, last = self.places[1], *counted

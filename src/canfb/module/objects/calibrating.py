@@ -1,4 +1,4 @@
-"""Object 2030h: a reference measurement from the module's own samples, while it goes on publishing.
+"""Object 2030h: a reference measurement from the module's own samples, while it publishes.
 
 IDLE ──start──> RECORDING ──full, or finish──> COMPUTING ──> READY ──accept──> ACCEPTED
                                                         └──> REFUSED, CHECKED

@@ -26,8 +26,8 @@ class Prediction:
         2  constant acceleration  x(k) + m v + a m (m + 1)/2, since v is the speed half an interval ago
 
     :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, and :meth:`withdraw` restores
-    ``measured`` afterwards; in between, bit 12 of the status word is set. While coasting the position goes on
-    at the last valid speed; a lost one is not extrapolated.
+    ``measured`` afterwards; in between, bit 12 of the status word is set. While coasting the position
+    continues at the last valid speed; a lost one is not extrapolated.
 
     With 2013:02 and sample times, :meth:`shift` moves the position to the nominal SYNC of its sample, d
     intervals later: x + v d. Formula 1 then adds v (d + p), formula 2 v (d + p) + a (d + p)(d + p + 1)/2, p

@@ -141,7 +141,7 @@ MOST_PER_CENT = 0xFFFF
 class Adapting:
     """Follows the drift of offset, gain and phase: 2002:08..12 (docs/analog-front-end.md).
 
-    `save` keeps the drift, from which a reset goes on; 2002:01..07 stay those of the calibration. An
+    `save` keeps the drift, from which a reset continues; 2002:01..07 stay those of the calibration. An
     activation, or 2002:08 = 0, resets the drift to zero.
     """
 

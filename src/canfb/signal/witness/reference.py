@@ -24,7 +24,7 @@ class Reference:
     """Joins coarse track and zero pulse to an estimator; the second position brings its own
     :class:`Witness`.
 
-    had_position  there was a valid position since the start, so the count of a later one is not free
+    had_position  there was a valid position since the start, so a later count is not arbitrary
     range_known   the speed was found since the position was lost: the count may be set
     recovered     number of speeds that witnesses have found
     set_right     number of counts that a zero pulse has corrected
