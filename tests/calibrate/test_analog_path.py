@@ -298,9 +298,9 @@ def test_files_without_speeds(tmp_path: Path) -> None:
 @each(
     "low_pass, words",
     [
-        (LowPass(0.0, 0.0, 1e5, 0.0, True, 1e6), "none is seen up to 2400 rpm"),
+        (LowPass(0.0, 0.0, 1e5, 0.0, True, 1e6), "none detected up to 2400 rpm"),
         (LowPass(0.0, 0.0, 1e5, 0.0, True, 1e6, rises=True), "the amplitude rises"),
-        (LowPass(0.0, 0.0, 1e5, 0.0, False, 0.0), "of one size"),
+        (LowPass(0.0, 0.0, 1e5, 0.0, False, 0.0), "equal in size"),
         (LowPass(8e-6, 2e-8, 1e5, 0.02, True), "away from that of one pole"),
         (LowPass(8e-6, 2e-8, 1e5, 0.0, True), "the amplitudes agree"),
     ],

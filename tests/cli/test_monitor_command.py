@@ -185,7 +185,7 @@ def test_of_a_log_that_is_cut_off_the_rest_is_shown(
     cut.write_bytes(gzip.compress(log.read_bytes())[:-500])
     out, error = command(f"monitor {words} --log", cut, code=1)
     assert out.count("\n") >= least
-    assert error.count("nothing can be read behind frame") == 1
+    assert error.count("nothing can be read after frame") == 1
 
 
 def test_modules_that_nobody_names_are_known_by_what_they_send(tmp_path: Path, command: Command) -> None:

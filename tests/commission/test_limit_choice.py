@@ -109,7 +109,7 @@ def test_the_limits_are_near_the_truth_detect_glitches_and_hold_on_ten_times_mor
     assert not flagged(machine, new, machine.samples(10 * COUNT), cycles_per_interval).any()
 
 
-@each("noise_lsb, words", [(0.5, "seen, times 2"), (20.0, "raised: a smaller one would narrow the residual")])
+@each("noise_lsb, words", [(0.5, "/s², times 2"), (20.0, "raised: a smaller one would narrow the residual")])
 def test_the_words_say_which_acceleration_is_proposed(noise_lsb: float, words: str) -> None:
     machine = SimulatedMachine(duty(1, 0.5), Encoder(noise_lsb=noise_lsb))
     observed, _, choices = machine.commissioned(COUNT)
@@ -213,7 +213,7 @@ REFUSED: list[tuple[Changed, bool, str]] = [
     *((partial(few, n), True, f"{n} usable samples of {n} are too few") for n in (1, 1500)),
     (lambda one: one, False, "did not report its speed"),
     (lambda one: replace(one, rate_hz=None), True, "rate of the samples is not known"),
-    (lambda one: replace(one, sine=np.nan * one.sine), True, "did not come"),
+    (lambda one: replace(one, sine=np.nan * one.sine), True, "samples missed"),
     (lambda one: TrackSamples.of(noise(1), noise(2), RATE_HZ, "noise"), True, "position is lost"),
     (unheard, True, r"position is lost .* did not receive about \d+ SYNCs\)"),
     (lambda one: replace(one, sine=0.2 * one.sine, cosine=0.2 * one.cosine), True, "amplitude"),

@@ -92,7 +92,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         ("bus.log.gz", {"max_bytes": 100}, r"divides \.asc, \.blf, \.log, not \.gz"),
         ("bus.trc", {"max_bytes": 100}, r"--max-size: python-can divides \.asc, \.blf, \.log, not \.trc"),
         ("nowhere/bus.log", {}, "there is no folder"),
-        ("there.log", {}, "is there already; take another name, or --force"),
+        ("there.log", {}, "exists; take another name, or --force"),
     ],
 )
 def test_what_cannot_be_is_one_line(tmp_path: Path, name: str, options: dict[str, Any], words: str) -> None:

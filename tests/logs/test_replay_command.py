@@ -215,7 +215,7 @@ def test_a_log_that_is_cut_off_is_used_up_to_there(tmp_path: Path, command: Comm
     for line in ("log replay", "monitor --frames 0x20 --log", "monitor --json --log"):
         said = command(line, path, code=1)
         first = said.lines[0] if line == "log replay" else said.err
-        assert "bus.blf: damaged or incomplete: nothing can be read behind frame" in first
+        assert "bus.blf: damaged or incomplete: nothing can be read after frame" in first
         assert len(said.err.splitlines()) <= 1
 
 
@@ -403,7 +403,7 @@ def test_what_cannot_be_of_a_folder_is_one_line(
         ("empty", 1, "there is no bus log in this folder"),
         ("month --out x.csv", 2, "needs a table, such as --out month.parquet"),
         ("month --out none/x.parquet", 2, "there is no folder"),
-        ("month --out no.parquet", 1, "is there already, and is no table"),
+        ("month --out no.parquet", 1, "exists, and is not a table"),
         ("month --report x.html", 2, "--report: is for one log, not for a folder"),
         ("month --workers 0", 2, "--workers 0: must be 1 at least"),
     ):

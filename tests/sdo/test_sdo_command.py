@@ -178,7 +178,7 @@ def test_what_the_node_refuses_is_said_in_words(canfb: Commands, bench: Bench) -
     assert err == f"{example}\n"
     _, err = canfb(bench, "sdo", "write", NODE, "2011:01", "3", code=1)
     assert err == "canfb: 2011:01 Feedback: Status word is read only\n"
-    assert "2040:04 says" in canfb(bench, "sdo", "write", NODE, "2040:02", "3", code=1)[1], "it has no code"
+    assert "2040:04 is 0" in canfb(bench, "sdo", "write", NODE, "2040:02", "3", code=1)[1], "it has no code"
     _, err = canfb(bench, "sdo", "read", NODE, "activate", code=1)
     assert err == "canfb: 2020:03 Correction table: Activate is write only\n"
     _, err = canfb(bench, "sdo", "write", NODE, "2040:01", "2", code=1)
@@ -225,7 +225,7 @@ def test_a_node_that_is_not_there_another_device_and_a_full_disk(
 def test_a_node_of_another_maker(canfb: Commands, bench: Bench, tmp_path: Path) -> None:
     bench.module.dictionary.entry(0x1018, 2).value = 99
     _, err = canfb(bench, "sdo", "read", NODE, "2010:03", code=2)
-    assert "product 99 of vendor 0, which is none of ours: give its EDS with --eds FILE" in err
+    assert "product 99 of vendor 0, which is not of canfb: give its EDS with --eds FILE" in err
     eds = tmp_path / "their.eds"
     eds.write_text(
         "[DeviceInfo]\nProductName=their drive\n"

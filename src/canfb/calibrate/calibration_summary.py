@@ -95,9 +95,9 @@ def delay_words(low_pass: LowPass, where: Provenance) -> str:
         return "not known: the amplitude rises with the speed"
     if not low_pass.is_detected:
         if not math.isfinite(low_pass.delay_sigma_s):
-            return "not known: all measured speeds are of one size"
+            return "not known: all measured speeds are equal in size"
         return (
-            f"none is seen up to {at}; one pole would delay by less than "
+            f"none detected up to {at}; one pole would delay by less than "
             f"{low_pass.delay_sigma_s * 1e6:.2g} µs. A delay of the converter does not show"
         )
     words = (
@@ -132,7 +132,7 @@ def _low_pass_words(over: OverSpeeds, where: Provenance) -> str:
     if low_pass.rises:
         return "none: the amplitude rises with the speed"
     if not low_pass.is_detected:
-        return "none is seen"
+        return "none detected"
     words = f"{corners.corner_hz / 1e3:.4g} ± {low_pass.corner_sigma_hz / 1e3:.1g} kHz"
     cosine = f", cosine {corners.cosine_corner_hz / 1e3:.4g} kHz" if corners.cosine_corner_hz else ""
     left, at = PERCENT * low_pass.left, speed_words(low_pass.top_hz, where)

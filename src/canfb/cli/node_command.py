@@ -35,7 +35,7 @@ WORDS = {
 }
 ALL, EVERYBODY = "all", 0
 NOBODY = (
-    "no node answers, and no heartbeat is heard: are the bus, its bit rate and its power right? "
+    "no node answers, and no heartbeat is heard: check the bus, its bit rate and power. "
     "A STOPPED node without heartbeat is silent: canfb node preop all"
 )
 SCAN_S = 1.2  # most nodes send a heartbeat at least once a second

@@ -139,9 +139,7 @@ def machine_facts(done: Commissioned) -> list[Row]:
         ),
         Row(
             "change in time",
-            f"errors of the phase differ by {motion.change:.2g} cycle rms"
-            if motion.change
-            else "none is seen",
+            f"phase errors differ by {motion.change:.2g} cycle rms" if motion.change else "none detected",
             change_rms_cycles=motion.change,
         ),
         Row(
@@ -178,11 +176,11 @@ def machine_facts(done: Commissioned) -> list[Row]:
 def _low_pass_words(done: Commissioned) -> str:
     low_pass = done.observed.low_pass
     if low_pass is None:
-        return "not known: too few speeds were seen"
+        return "not known: too few speeds"
     words = delay_words(low_pass, done.where)
     if not low_pass.is_detected:
         return f"delay {words}"
-    return f"{low_pass.corner_hz / 1e3:.4g} kHz; delay {words}. 2002:07 stays as it is"
+    return f"{low_pass.corner_hz / 1e3:.4g} kHz; delay {words}. 2002:07 is unchanged"
 
 
 def _rounded(value: float) -> str:
@@ -208,7 +206,7 @@ def limit_rows(done: Commissioned) -> list[Row]:
         Row(
             f"{od.place_text(one.place)} {KINDS[one.place].name}",
             value_words(one, one.before, interval_s, n),
-            value_words(one, one.value, interval_s, n) if one.changes else "as it is",
+            value_words(one, one.value, interval_s, n) if one.changes else "unchanged",
             one.why,
             object=od.place_text(one.place),
             name=KINDS[one.place].name,
@@ -245,9 +243,7 @@ def kept_words(done: Commissioned) -> str:
 def outcome(done: Commissioned) -> str:
     if done.written:
         saved = (
-            f"saved ({done.saved_as})"
-            if done.saved_as
-            else "not saved: --save keeps them over a loss of power"
+            f"saved ({done.saved_as})" if done.saved_as else "not saved: --save keeps them over a power-off"
         )
         return f"the limits are in force, and nothing was flagged that was not flagged before; {saved}"
     if done.wishes.write:

@@ -126,7 +126,7 @@ def corner_choice(low_pass: LowPass | None, limits: SupervisionLimits) -> Choice
 
 def _amplitude(tracks: TrackFigures, margin: float) -> dict[od.Multiplexer, Chosen]:
     mean, spread, usual = tracks.mean, tracks.spread, LEAST_AMPLITUDE_SPREAD
-    measured = f"{tracks.least:.0f} to {tracks.most:.0f} counts seen, mean {mean:.0f}"
+    measured = f"{tracks.least:.0f} to {tracks.most:.0f} counts, mean {mean:.0f}"
     part, why = _largest(
         (usual, f"±{PERCENT * usual:.0f} % for temperature, supply and age"),
         (margin * spread, f"{margin:g} times the largest deviation of {PERCENT * spread:.1f} %"),
@@ -147,7 +147,7 @@ def _motion(
     if known == 0.0 and (change < LEAST_SPEED_CHANGE * motion.top_speed or motion.acceleration == 0.0):
         why = (
             f"the speed changed by {PERCENT * change / motion.top_speed:.0f} % only, so the largest "
-            "acceleration was not seen: let the machine start and stop meanwhile, or set --acceleration"
+            "acceleration was not measured: let the machine start and stop meanwhile, or set --acceleration"
         )
         return dict.fromkeys((od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION), (None, why))
     limit, why = _residual_limit(motion, margin, known, error_cycles)
@@ -158,7 +158,7 @@ def _motion(
     )
     most = max_acceleration(n, 1.0 / machine.interval_s)
     value = as_real32(min(_rounded_up(largest * to_rad), most))
-    words = f"{motion.acceleration * to_rad:.3g} rad/s² seen, {taken}"
+    words = f"{motion.acceleration * to_rad:.3g} rad/s², {taken}"
     if value >= most * (1.0 - 1e-6):
         words += "; no more than eq. 10 allows: increase the SYNC rate"
     elif value / to_rad > SHARP:
@@ -181,9 +181,7 @@ def _residual_limit(
     )
     if needed > RESIDUAL_LIMIT:
         why = ": the widest limit, at which one bad sample is still safe; increase the SYNC rate"
-    seen = (
-        f"residual up to {motion.residual_peak:.2g} cycle seen, {motion.residual_noise:.2g} rms of it noise"
-    )
+    seen = f"residual up to {motion.residual_peak:.2g} cycle, {motion.residual_noise:.2g} rms of it noise"
     return min(math.ceil(needed * LIMIT_UNITS), int(RESIDUAL_LIMIT * LIMIT_UNITS)), f"{seen}{why}"
 
 
@@ -208,7 +206,7 @@ def _phase_error(motion: MotionFigures, margin: float) -> Chosen:
     if largest > MOST_PHASE_ERROR_CYCLES:
         why += ", which is more than can be declared: calibrate the encoder"
     units = math.ceil(min(largest, MOST_PHASE_ERROR_CYCLES) * LIMIT_UNITS)
-    return units, f"up to {motion.phase_error:.2g} cycle seen{why}"
+    return units, f"up to {motion.phase_error:.2g} cycle{why}"
 
 
 def _frozen(machine: Observation, margin: float) -> Chosen:
@@ -216,7 +214,7 @@ def _frozen(machine: Observation, margin: float) -> Chosen:
     repeats = repeats_of_frozen_input(
         tracks.noise_counts, 1.0 / machine.interval_s, margin, tracks.longest_repeat
     )
-    noise = f"noise of {tracks.noise_counts:.2f} counts, {tracks.longest_repeat} repeats in a row seen"
+    noise = f"noise of {tracks.noise_counts:.2f} counts, {tracks.longest_repeat} repeats in a row"
     why = (
         f"{noise}: less than one false alarm in ten years at whole cycles per sample"
         if repeats
@@ -239,14 +237,14 @@ def _periods(pause: float | None) -> Chosen:
         return None, NO_TIMES
     periods = USUAL_PERIODS if pause <= 1.5 else math.ceil(pause) + 1
     if periods > MOST_PERIODS:
-        return None, f"a pause of {pause:.1f} periods was seen: find its cause rather than allow for it"
-    return periods, f"at most {pause:.1f} periods without SYNC or sample were seen"
+        return None, f"a pause of {pause:.1f} periods: find its cause rather than allow for it"
+    return periods, f"at most {pause:.1f} periods without SYNC or sample"
 
 
 def _jitter(off_s: float | None, most_s: float, margin: float) -> Chosen:
     if off_s is None:
         return None, NO_TIMES
-    seen = f"up to {1e6 * off_s:.0f} µs from the even grid seen"
+    seen = f"up to {1e6 * off_s:.0f} µs from the even grid"
     if margin * off_s > most_s:
         return None, f"{seen}: find its cause"
     if margin * off_s <= USUAL_JITTER_S:
@@ -360,7 +358,7 @@ def _missed_words(samples: TrackSamples, interval_s: float) -> str:
     # The module may have received what this computer, if busy, did not: its position is not lost then.
     steps = np.diff([] if samples.received_s is None else samples.received_s) / interval_s
     unheard = int((np.rint(steps) - 1.0).clip(0.0).sum())
-    words = f"; {samples.missed} samples did not come" if samples.missed else ""
+    words = f"; {samples.missed} samples missed" if samples.missed else ""
     return f"{words}; this computer did not receive about {unheard} SYNCs" if unheard else words
 
 

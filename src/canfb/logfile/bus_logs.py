@@ -289,7 +289,7 @@ class BusLogFile:
             if not self.counters.frames:
                 raise LogError(f"{self.path}: this is no {self.suffix} log: {reason(error)}") from error
             self.trouble = (
-                f"{self.path}: damaged or incomplete: nothing can be read behind frame "
+                f"{self.path}: damaged or incomplete: nothing can be read after frame "
                 f"{self.counters.frames}: {reason(error)}"
             )
 
@@ -373,7 +373,7 @@ class BusLog:
             )
         check_writable(path)
         if path.exists() and (not overwrite or not path.is_file()):
-            raise ConfigError(f"{path}: is there already; take another name, or --force")
+            raise ConfigError(f"{path}: exists; take another name, or --force")
 
     def __enter__(self) -> Self:
         name, most = str(self.place), self._max_bytes

@@ -429,7 +429,7 @@ def do_work(
 def _table(out: Path) -> list[LogRow]:
     if not out.exists():
         return []
-    said = f"--out {out}: is there already, and is no table"
+    said = f"--out {out}: exists, and is not a table"
     with saying(CanfbError, said, OSError, ValueError):  # pyarrow's errors are subclasses of these
         rows: list[LogRow] = _pyarrow()[1].read_table(str(out)).to_pylist()
     if rows and not COLUMNS.keys() <= rows[0].keys():

@@ -132,8 +132,8 @@ _TO_DO: dict[int, str] = {
     AbortCode.VALUE_TOO_LOW: "write a higher value",
     AbortCode.INVALID_VALUE: "the node does not take this value; its manual says which ones it takes",
     AbortCode.DEVICE_STATE: "not in this state of the node: try canfb node preop, or switch its PDO off",
-    AbortCode.LOCAL_CONTROL: "the node is locked: release it there; canfb by its code to 2040:02, 1 s after "
-    "a bad one (2040:04 says whether it is locked: if not, any code is a bad one)",
+    AbortCode.LOCAL_CONTROL: "the node is locked: unlock it there; canfb: write its code to 2040:02, 1 s "
+    "after a wrong one (2040:04 is 0 if it is not locked: then it may have no code)",
     AbortCode.NOT_STORED: "the node cannot keep it (canfb run: state_dir), or wants the word save or load",
     AbortCode.HARDWARE: "its memory or its disk fails",
     AbortCode.UNSUPPORTED_ACCESS: "not now: a PDO that is valid cannot be changed; set bit 31 of its COB-ID",
@@ -411,8 +411,8 @@ def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDe
     place = numbered(text)
     what = text if place is None else od.place_text((place[0], place[1] or 0))
     raise ConfigError(
-        f"{node.name} is product {product} of vendor {vendor}, which is none of ours: give its EDS with "
-        f"--eds FILE, so that {what} has a name and a type"
+        f"{node.name} is product {product} of vendor {vendor}, which is not of canfb: give its EDS with "
+        f"--eds FILE, for the name and type of {what}"
     )
 
 
