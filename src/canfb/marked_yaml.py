@@ -81,7 +81,7 @@ def compose(text: str | bytes, *, exponents: bool = False) -> yaml.Node | None:
     try:
         root: yaml.Node | None = loader.get_single_node()
         if root is not None and _checked(root, {}) > MOST_VALUES:
-            raise YamlError(loader.line + 1, f"the file stands for more than {MOST_VALUES} values")
+            raise YamlError(loader.line + 1, f"more than {MOST_VALUES} values, aliases expanded")
         return root
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -103,7 +103,7 @@ def _checked(node: yaml.Node, known: dict[int, int]) -> int:
         if not isinstance(key, yaml.ScalarNode):
             raise YamlError(line_of(key), "a key must be a single word")
         if key.value in seen:
-            raise YamlError(line_of(key), f"key {key.value!r} is there already, in line {seen[key.value]}")
+            raise YamlError(line_of(key), f"key {key.value!r} is already in line {seen[key.value]}")
         seen[key.value] = line_of(key)
     inner = node.value if isinstance(node.value, list) else []
     parts = [part for one in inner for part in (one if isinstance(one, tuple) else (one,))]

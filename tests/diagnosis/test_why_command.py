@@ -338,7 +338,7 @@ def test_the_journal_is_that_of_the_services_of_the_configuration(
     journal.chmod(0o755)
     for folder, said in (
         (tmp_path, "-u canfb@left -u canfb-interface@left -n 500 .*--no-hostname --no-pager -q \ufffd"),
-        (tmp_path / "empty", "journalctl is not there"),
+        (tmp_path / "empty", "journalctl is not installed"),
     ):
         monkeypatch.setenv("PATH", str(folder))
         canfb(

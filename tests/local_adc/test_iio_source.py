@@ -139,7 +139,7 @@ REFUSED: dict[str, tuple[EmulatedAdc, dict[str, Any], str]] = {
         EmulatedAdc(triggers={}), {"trigger": "ads7950"}, "source: trigger: no 'ads7950' in ip:"),
     "clock of a fired trigger": (
         EmulatedAdc(), {"trigger": "sysfstrig7", "scans_per_sync": 4},
-        "source: trigger: 'sysfstrig7' gives one scan for each SYNC; scans_per_sync"),
+        "source: trigger: 'sysfstrig7' is fired once for each SYNC; scans_per_sync"),
     "two formats": (
         adc("le:u12/16>>0", "le:u10/16>>0"), {},
         "source: cosine: the format of 'voltage1' differs from that of 'voltage0'"),

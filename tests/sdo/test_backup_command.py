@@ -219,7 +219,7 @@ BAD = {
     "a real": ('"2010:02": 12.5', '"2010:02": fast', "Largest acceleration must be a number, not 'fast'"),
     "an object": ('"2010:03"', '"2010:63"', "parameters.2010:63: this version has no such parameter"),
     "no object": ('"2010:03"', '"coast"', "parameters.coast: unknown key: an object such as"),
-    "a double": ('"2010:03"', "2010:02", "key '2010:02' is there already"),
+    "a double": ('"2010:03"', "2010:02", "key '2010:02' is already in line"),
     "a key": ("device_name:", "device_nam:", "device_nam: unknown key; known are"),
     "missing": ("device_name:", "# device_name:", "'device_name' is missing"),
     "identity": ("{vendor: 0, ", "{", "identity: 'vendor' is missing"),

@@ -237,7 +237,7 @@ def test_a_node_of_another_maker(canfb: Commands, bench: Bench, tmp_path: Path) 
     out = canfb(bench, "sdo", "read", NODE, "gain", "--eds", eds)[0]
     assert out == "2010:03 Something: Gain: 03 (1 bytes, the EDS has UNSIGNED16)\n"
     _, err = canfb(bench, "sdo", "write", NODE, "gain", "3", "--eds", eds, code=1)
-    assert "the type in the EDS is not that of the node: give its own with --eds" in err
+    assert "the type in the EDS differs from that of the node: give its own EDS with --eds" in err
     _, err = canfb(bench, "sdo", "write", NODE, "1010:01", "save", "--eds", eds, code=2)
     assert err.startswith("canfb: 1010:01 Store: All 1702257011 is not a UNSIGNED8")
 

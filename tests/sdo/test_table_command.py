@@ -167,7 +167,7 @@ BAD = {
     "a size": ("sine_offset_counts: 3.5", "sine_offset_counts: 3.5e+38",
                "line {line}: sine_offset_counts must be a finite number, not inf"),
     "a double": ("sine_gain: 1.0", "sine_gain: 1.0\n  sine_gain: 2.0",
-                 "line {next}: key 'sine_gain' is there"),
+                 "line {next}: key 'sine_gain' is already in line {line}"),
     "a number": ("crc32: ", "crc32: 1", "an entry was changed"),
     "entries": ("entries:", "entries: [one]\nothers:", "line {line}: entries: a correction table is a"),
     "no YAML": ("conditioning:", "conditioning: [", "line "),

@@ -77,7 +77,7 @@ WRONG = {
     "{device: x}": "'kind' is missing in source; known: iio, motion, recording",
     "{kind: adc}": "unknown kind 'adc' of source; known: iio, motion, recording",
     "{kind: [iio]}": "unknown kind None of source",
-    "{kind: iio, kind: iio}": "key 'kind' is there already, in line",
+    "{kind: iio, kind: iio}": "key 'kind' is already in line",
     "{kind: iio}": "'device' is missing in source",
     "{kind: recording}": "'file' is missing in source",
     "{kind: iio, device: x, adc_bits: 12}": "unknown key 'adc_bits' in source",

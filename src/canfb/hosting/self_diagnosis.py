@@ -94,7 +94,7 @@ def journal(name: str) -> list[str]:
 def _said(command: list[str]) -> list[str]:
     program = shutil.which(command[0])
     if program is None:
-        return [f"{command[0]} is not there"]
+        return [f"{command[0]} is not installed"]
     try:
         done = subprocess.run(
             [program, *command[1:]], capture_output=True, errors="replace", timeout=COMMAND_S, check=False

@@ -270,7 +270,7 @@ def _detection_rows(budget: ResidualBudget) -> list[Row]:
     found, module = budget.detection(), budget.module
     needed = budget.detection(min(budget.needed_cycles, 0.5))
     equal, sample = module.settings.frozen_samples, module.settings.sample
-    frozen = f"after {equal} equal samples" if equal else "not looked for"
+    frozen = f"after {equal} equal samples" if equal else "not checked"
     half = "always" if found.half_cycle else "not always"
     low, high = sample.amplitude_low_counts, sample.amplitude_high_counts
     nominal = budget.plan.amplitude * sample.full_scale_counts
@@ -290,7 +290,7 @@ def _detection_rows(budget: ResidualBudget) -> list[Row]:
         *(Row("", words) for words in _kept_words(found, budget)),
         Row(
             "",
-            f"a jump of half a cycle is seen {half}; one below {found.limit_cycles:.3f} cycle may pass",
+            f"a jump of half a cycle is {half} detected; one below {found.limit_cycles:.3f} cycle may pass",
         ),
         Row("", f"amplitude limits {amplitude}; frozen input: {frozen}"),
         Row(

@@ -275,7 +275,7 @@ class IioCapture:
             device.trigger = self._trigger
         if config.scans_per_sync is not None and self.is_fired:
             raise ConfigError(
-                f"source: trigger: {config.trigger!r} gives one scan for each SYNC; scans_per_sync needs one "
+                f"source: trigger: {config.trigger!r} is fired once for each SYNC; scans_per_sync needs one "
                 "that has a clock"
             )
         if config.rate_hz is not None:
