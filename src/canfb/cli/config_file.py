@@ -42,9 +42,9 @@ modules:                                        # one process serves several nod
     cycles_per_revolution: 2500
     adc_bits: 12
     times: true                                 # the ADC PDO carries the time of each sample
-    # What the machine can do at most (2010:02); the motion below needs less. At 100 Hz it is 0.01 cycle per
+    # Largest acceleration of the machine (2010:02), more than used below. At 100 Hz it is 0.01 cycle per
     # interval^2: after a gap of up to 9 intervals one trajectory fits the samples. 0: not known, and a gap
-    # may cost the position.
+    # may lose the position.
     max_acceleration_rad_s2: 0.25
     residual_limit: 0.3333                      # cycles; the paper's 1/3, narrowed by the acceleration
     coast_samples: 30                           # bad or missed samples to bridge before the position is lost
@@ -59,8 +59,8 @@ modules:                                        # one process serves several nod
     # conditioning:                             # offset, gain and phase error of the tracks; default: none
     #   {sine_offset_counts: 0, cosine_offset_counts: 0, sine_gain: 1, cosine_gain: 1, phase_error_rad: 0}
     #                                           # and cosine_delay_s, delay_s (2002:06, :07)
-    # adapt: true                               # offset, gain and phase are followed slowly (2002:08)
-    # corner_hz: 125e3                          # low-pass of the analog path: the amplitude over the speed
+    # adapt: true                               # follow offset, gain and phase slowly (2002:08)
+    # corner_hz: 125e3                          # corner frequency of the analog path, 0: none
 
 simulation:                                     # the machine of canfb simulate
   encoder: {amplitude: 0.75, sine_offset: 0.01, cosine_amplitude: 0.99, noise_lsb: 0.5}
@@ -70,7 +70,7 @@ simulation:                                     # the machine of canfb simulate
   # drive: {node_id: 0x30}                      # a CiA 402 drive moves the machine instead of `motion`
 
 # realtime: {priority: 80, lock_memory: true, cpu: 3}
-#                                               # or {cpu: 3, busy_poll: true}: it never sleeps
+#                                               # or {cpu: 3, busy_poll: true}: never sleep
 """
 INLINE, FILE = "inline", "file"  # place of the table of a DCF
 EXAMPLE_BUS = "{interface: socketcan, channel: vcan0}"  # bus of the example
