@@ -216,4 +216,4 @@ def plain_lines(snapshot: BusSnapshot, units: MachineUnits) -> list[str]:
         rows = module_lines(node, module, units)
         said = ", ".join(f"{row.label} {row.text}" for row in (rows[:1] if is_stale(module) else rows))
         modules.append(f"{head} {name_of(node)}: {state_words(node)}, {said}; {bus}")
-    return modules or [f"{head} no module heard; {bus}"]
+    return modules or [f"{head} no module found; {bus}"]
