@@ -144,9 +144,7 @@ def test_a_node_id_is_in_force_after_reset_communication(bench: LssBench) -> Non
 
 def test_without_a_node_id_there_is_lss_and_nothing_else(make: Callable[..., LssBench]) -> None:
     bench = make(NONE)
-    assert bench.first == []
-    assert bench.node.state is NmtState.INITIALISING
-    assert bench.node.deadline() is None
+    assert (bench.first, bench.node.state, bench.node.deadline()) == ([], NmtState.INITIALISING, None)
     for can_id in set(range(0x800)) - {0x7E5}:
         for data in (b"\x01\x00", b"\x82\x00", b"\x81\xff", b"", bytes(8)):
             assert bench.send(can_id, data) == []
@@ -167,8 +165,7 @@ def test_it_boots_when_it_has_got_one_and_waits_again(make: Callable[..., LssBen
     assert bench.lss(0x04, 2) + bench.lss(0x5E) == ["5EFF"]  # there is no state 2
     assert bench.lss(0x04, 0) == ["720#"]  # the boot-up
     assert bench.node.state is NmtState.PRE_OPERATIONAL
-    assert bench.read(0x1014) == 0xA0
-    assert bench.value(0x1800, 1) == 0x400001A0
+    assert (bench.read(0x1014), bench.value(0x1800, 1)) == (0xA0, 0x400001A0)
     assert bench.lss(0x4C) == []
 
 

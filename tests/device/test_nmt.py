@@ -336,21 +336,17 @@ def test_frame_register_and_history(bench: Bench) -> None:
     bench.now = 3.0
     bench.node.emergency(SENSOR, 0x20, b"\x01\x02\x03\x04\x05", bench.now)
     assert sent(bench) == ["0A0#0073210102030405"]
-    assert bench.read(0x1001) == 0x21
-    assert bench.read(0x1003) == 1
-    assert bench.read(0x1003, 1) == 0x02017300
+    assert (bench.read(0x1001), bench.read(0x1003), bench.read(0x1003, 1)) == (0x21, 1, 0x02017300)
     bench.node.clear_emergency(SENSOR, bench.now)
     assert sent(bench) == ["0A0#0000000000000000"]
-    assert bench.read(0x1001) == 0
-    assert bench.read(0x1003) == 1
+    assert (bench.read(0x1001), bench.read(0x1003)) == (0, 1)
 
 
 def test_the_history_is_newest_first_and_bounded(bench: Bench) -> None:
     for number in range(6):
         bench.node.emergency(0x1000 + number, 0, now=0.0)
     assert len(sent(bench)) == 6
-    assert bench.read(0x1003) == 4
-    assert [bench.read(0x1003, sub) for sub in range(1, 5)] == [0x1005, 0x1004, 0x1003, 0x1002]
+    assert [bench.read(0x1003, sub) for sub in range(5)] == [4, 0x1005, 0x1004, 0x1003, 0x1002]
 
 
 def test_waiting_frames_are_bounded_and_another_inhibit_time_holds_for_them(bench: Bench) -> None:

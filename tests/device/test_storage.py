@@ -72,8 +72,7 @@ def test_a_store_that_fails_is_a_hardware_error_and_changes_nothing(path: Path) 
     store = BrokenStore()
     bench = StoringBench(path, store)
     change(bench)
-    assert bench.save() is AbortCode.HARDWARE
-    assert bench.read(SAVE, ALL) == 1
+    assert (bench.save(), bench.read(SAVE, ALL)) == (AbortCode.HARDWARE, 1)
     bench.nmt(RESET_NODE)
     assert values(bench) == DEFAULTS
     assert bench.load() == OK  # there is nothing to forget
@@ -96,6 +95,7 @@ def chosen(places: tuple[int, ...], there: list[int], elsewhere: list[int]) -> l
 
 @given(STEPS)
 @example([("write", ALL), (RESET_COMMUNICATION, ALL)])
+@example([("save", ALL), ("write", ALL), (RESET_COMMUNICATION, ALL)])
 def test_what_is_saved_comes_back_and_what_is_not_or_was_forgotten_does_not(
     path: Path, steps: list[tuple[str | int, int]]
 ) -> None:
@@ -192,6 +192,13 @@ def test_every_cut_and_every_flipped_bit_is_refused(saved: MemoryStore) -> None:
 
 def changed(body: bytes, place: int, more: int) -> bytes:
     return body[:place] + bytes([body[place] + more]) + body[place + 1 :]
+
+
+def test_a_save_drops_no_group_that_has_no_parameters(path: Path) -> None:
+    bench = StoringBench(path, MemoryStore())
+    bench.node.storage.entries.leave_out(0x6000)
+    assert bench.save() == OK
+    assert bench.application.told("parameters_saved")[-1][:2] == ([COMMUNICATION, MANUFACTURER], [])
 
 
 def test_a_minor_revision_makes_no_other_device(path: Path, saved: MemoryStore) -> None:

@@ -178,13 +178,7 @@ class Storage(Timed):
         self._command({group: self._image(group) for group in _groups(subindex)}, lambda: None)
 
     def _load(self, subindex: int) -> None:
-        # A change that is still being written may be of any group.
-        there = [
-            group
-            for group in _groups(subindex)
-            if self._waiting or group in self._images or group in self.faults
-        ]
-        self._command(dict.fromkeys(there), self.configuration_changed)
+        self._command(dict.fromkeys(_groups(subindex)), self.configuration_changed)
 
     def _image(self, group: ParameterGroup) -> bytes | None:
         records = self.entries.records(group, self._core.node_id)
@@ -209,6 +203,12 @@ class Storage(Timed):
 
     def _keep(self, changes: Changes, done: Done) -> None:
         """Store `changes` and call `done`, now or in a later :meth:`tick`. EBUSY if too many wait."""
+        # Without groups to delete that are not there; a change that is being written may be of any group.
+        changes = {
+            group: image
+            for group, image in changes.items()
+            if image is not None or self._waiting or group in self._images or group in self.faults
+        }
         if not changes:
             done(None)
         elif self._background is not None:
