@@ -96,7 +96,6 @@ class Emergency(Timed):
     def sent(self, now: float) -> None:
         """An EMCY has left: the inhibit time starts."""
         self._sent_s = now
-        self.tick(now)
 
     def _send(self, code: int, manufacturer: bytes, now: float) -> None:
         self._register.value = functools.reduce(operator.or_, self._active.values(), 0)

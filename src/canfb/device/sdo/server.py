@@ -46,8 +46,6 @@ class SdoServer(Timed):
         self._request = core.dictionary.assumed(index, 1, cob.NOT_VALID)
         self._response = core.dictionary.assumed(index, 2, cob.NOT_VALID)
         self._answer_id = cob.SDO_RESPONSE + core.node_id
-        self._transfer: Transfer | None = None
-        self._pending: Pending | None = None
         self._begin: dict[int, Callable[[bytes], Transfer | None]] = {
             INITIATE_DOWNLOAD: self._download,
             INITIATE_UPLOAD: self._upload,
@@ -58,7 +56,7 @@ class SdoServer(Timed):
             for entry in (self._request, self._response):
                 entry.on_check = partial(_check_cob_id, entry)
                 entry.on_written = self._cob_id_written
-            self.configure()
+        self.configure()
 
     @property
     def request_id(self) -> int | None:
@@ -82,8 +80,8 @@ class SdoServer(Timed):
         self._core.reactions.routes_changed()
 
     def drop(self) -> None:
-        self._transfer = None
-        self._pending = None
+        self._transfer: Transfer | None = None
+        self._pending: Pending | None = None
         self.deadline = NEVER
 
     def handle(self, data: bytes, now: float) -> None:
