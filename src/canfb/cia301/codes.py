@@ -134,3 +134,13 @@ class NmtCommand(IntEnum):
     ENTER_PRE_OPERATIONAL = 128
     RESET_NODE = 129
     RESET_COMMUNICATION = 130
+
+
+# The state that a command leads to, from any state but INITIALISING.
+COMMANDED: dict[int, NmtState] = {
+    NmtCommand.START: NmtState.OPERATIONAL,
+    NmtCommand.STOP: NmtState.STOPPED,
+    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
+    NmtCommand.RESET_NODE: NmtState.INITIALISING,
+    NmtCommand.RESET_COMMUNICATION: NmtState.INITIALISING,
+}

@@ -11,14 +11,12 @@ from collections.abc import Collection, Iterable
 from functools import partial
 
 from canfb.cia301.cob import ERROR_CONTROL, NMT
-from canfb.cia301.codes import EmergencyCode, ErrorRegister, NmtState
+from canfb.cia301.codes import COMMANDED, EmergencyCode, ErrorRegister, NmtCommand, NmtState
 from canfb.device.core import NEVER, Application, CanIds, Core, Reactions, Timed
 from canfb.device.emergency import Emergency
 from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave
 from canfb.device.nmt_slave import (
     COMMUNICATING,
-    COMMUNICATION_ONLY,
-    NEXT_STATE,
     HeartbeatConsumer,
     HeartbeatProducer,
     NodeGuarding,
@@ -222,7 +220,6 @@ class LifeCycle(Reactions):
             self._make_services()
         self.lss.reset()
         if self.core.node_id == UNCONFIGURED:
-            self.services.emergency.reset()
             self.routes_changed()
             return
         self.storage.restore(communication_only=communication_only)
@@ -244,12 +241,13 @@ class LifeCycle(Reactions):
         command, node_id = data
         if node_id not in (0, self.core.node_id):
             return
-        if command in NEXT_STATE:
-            self.enter(NEXT_STATE[command], now)
-        elif command in COMMUNICATION_ONLY:
-            self.reset(COMMUNICATION_ONLY[command], now)
-        else:
+        state = COMMANDED.get(command)
+        if state is None:
             self.core.counters.malformed_frames += 1
+        elif state is NmtState.INITIALISING:
+            self.reset(command == NmtCommand.RESET_COMMUNICATION, now)
+        else:
+            self.enter(state, now)
 
     def enter(self, state: NmtState, now: float, why: str = "") -> None:
         old = self.core.state

@@ -7,22 +7,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from canfb.cia301.cob import ERROR_CONTROL
-from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, NmtCommand, NmtState, SdoAbort
+from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, NmtState, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER, Core, Timed
 from canfb.device.od.dictionary import Dictionary, Entry, refuse_if
 
 # The states with SDO, SYNC and EMCY.
 COMMUNICATING = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
-
-# The state that a command leads to, from any state but INITIALISING.
-NEXT_STATE: dict[int, NmtState] = {
-    NmtCommand.START: NmtState.OPERATIONAL,
-    NmtCommand.STOP: NmtState.STOPPED,
-    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
-}
-
-COMMUNICATION_ONLY: dict[int, bool] = {NmtCommand.RESET_NODE: False, NmtCommand.RESET_COMMUNICATION: True}
 
 # The state after a communication error, by the value of 1029h:01 and the present state.
 REACTION = {

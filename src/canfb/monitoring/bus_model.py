@@ -13,7 +13,7 @@ from functools import partial
 from canfb import objects as od
 from canfb.bus.frame_bus import ERROR
 from canfb.cia301 import cob
-from canfb.cia301.codes import EMERGENCY, EmergencyCode, NmtCommand, NmtState, emergency_text
+from canfb.cia301.codes import COMMANDED, EMERGENCY, EmergencyCode, NmtState, emergency_text
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame, frame_bits
 from canfb.monitoring.layout import NodeLayout, Recognition, assumed_layout
 from canfb.monitoring.module_model import LoadMeter, ModuleModel, SyncMeter
@@ -25,13 +25,6 @@ IN_FLIGHT_S = 0.1  # after an NMT command, PDOs that have waited for the bus may
 CAUSE_BYTE = 2  # index in the five bytes of EMCY 7300h: cause as in 2012:10, 0: not lost
 # For the state in a frame 700h + id: the state of the node, and how it is known.
 HEARD = {int(one): (one, "heartbeat") for one in NmtState} | {0: (NmtState.PRE_OPERATIONAL, "boot-up")}
-COMMANDED = {
-    NmtCommand.START: NmtState.OPERATIONAL,
-    NmtCommand.STOP: NmtState.STOPPED,
-    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
-    NmtCommand.RESET_NODE: NmtState.INITIALISING,
-    NmtCommand.RESET_COMMUNICATION: NmtState.INITIALISING,
-}
 
 
 class NodeModel:
@@ -57,7 +50,7 @@ class NodeModel:
 
     def commanded(self, command: int, now: float) -> None:
         if command in COMMANDED:
-            self._state, self._source, self._commanded_s = COMMANDED[NmtCommand(command)], "command", now
+            self._state, self._source, self._commanded_s = COMMANDED[command], "command", now
 
     def sends_pdos(self, now: float) -> None:
         if self._source != "heartbeat" and not 0.0 <= now - self._commanded_s < IN_FLIGHT_S:
