@@ -126,7 +126,7 @@ def test_identify_remote_slave(bench: LssBench) -> None:
 
 def test_a_node_id_is_in_force_after_reset_communication(bench: LssBench) -> None:
     assert bench.lss(0x11, 40) == []
-    assert bench.configure().lss(0x11, 40) == ["11"]
+    assert bench.configure().lss(0x11, 40) + bench.lss(0x11, 200) == ["11", "1101"]
     assert bench.lss(0x5E) == ["5E2"]
     assert bench.lss(0x04, 0) == []
     assert bench.read(0x1014) == 0xA0
@@ -218,7 +218,7 @@ def test_activation_is_told_with_the_delay(bench: LssBench) -> None:
     bench.configure()
     assert bench.lss(0x15, 0xE8, 0x03) == []
     assert bench.activated == []  # nothing was configured
-    bench.lss(0x13, 0, 2)
+    assert bench.lss(0x13, 0, 2) + bench.lss(0x13, 0, 5) == ["13", "1301"]
     bench.now = 5.0
     assert bench.lss(0x15, 0xE8, 0x03) == []
     assert bench.activated == [(500, 1.0, 5.0)]

@@ -145,7 +145,7 @@ class LssSlave:
     def _switch_state(self, mode: int, now: float) -> None:
         if mode == LssState.CONFIGURATION:
             self.state = LssState.CONFIGURATION
-        elif mode == LssState.WAITING and self.state is LssState.CONFIGURATION:
+        elif mode == LssState.WAITING:
             self.state = LssState.WAITING
             self._core.reactions.lss_left(now)
 

@@ -73,7 +73,7 @@ class DeviceConfiguration:
 
     @property
     def table_crc32(self) -> int:
-        return zlib.crc32(self.table) if self.table else 0
+        return zlib.crc32(self.table)
 
     def values(self, *, with_table: bool = True) -> dict[Place, Any]:
         """The values for a DCF: the bytes of the table only `with_table`, 2020:03 in any case."""
@@ -138,10 +138,9 @@ def configuration_read(
 
 
 def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes) -> DeviceConfiguration:
-    entries = module.storage.entries.settings()
     settings = tuple(  # rounded to the digits of a REAL32
         Setting(one, datatypes.decode(one.data_type, datatypes.encode(one.data_type, read(one))))
-        for one in entries
+        for one in module.storage.entries.settings()
     )
     return DeviceConfiguration(
         module.node_id,

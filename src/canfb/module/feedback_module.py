@@ -35,8 +35,6 @@ from canfb.sources.protocol import Source
 from canfb.timing.answers import Answers
 from canfb.timing.syncs import Syncs
 
-COMMANDS = (od.MEASUREMENT_COMMAND.object_index, od.RECORDING_COMMAND.object_index)
-
 
 class FeedbackModule(NodeDevice):
     """ADC sine/cosine PDOs, or the samples of a ``source``, in; a supervised position PDO out.
@@ -157,9 +155,8 @@ class FeedbackModule(NodeDevice):
                 dictionary.entry(*od.ENCODER_LOWEST_AMPLITUDE).value + 1,
             ),
         )
-        for entry in dictionary:
-            if entry.index in COMMANDS and entry.access == "rw":
-                storage.entries.leave_out(entry.index, entry.subindex)
+        for command in (od.MEASUREMENT_COMMAND, od.MEASUREMENT_SAMPLES, od.RECORDING_COMMAND):
+            storage.entries.leave_out(*command)
 
     @property
     def feedback(self) -> Feedback | None:

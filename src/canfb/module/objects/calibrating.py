@@ -192,7 +192,7 @@ class Calibrating:
     def _start(self, task: Command) -> None:
         self._task = task
         self._forget(self._requested.value)
-        bits = (max(self._full_scale.value, 1) - 1).bit_length() + 1
+        bits = (self._full_scale.value - 1).bit_length() + 1
         self._adc_bits = min(max(bits, 4), 16)
         # If the range of the converter is not a power of two, its ends are stored as those of the next one.
         self._lowest, self._highest = 1 - self._full_scale.value, self._full_scale.value - 2

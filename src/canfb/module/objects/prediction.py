@@ -68,10 +68,10 @@ class Prediction:
     def shift(self, last: Feedback, cycles: int, phase: float) -> None:
         if not last.status & VALID or not self._lock.locked:
             return
-        cycles, phase = ahead(cycles, phase, last.speed_cycles * self._intervals(self._lock.lead))
-        self._show(cycles, phase)
+        self._show(cycles, phase, last.speed_cycles * self._intervals(self._lock.lead))
 
-    def _show(self, cycles: int, phase: float) -> None:
+    def _show(self, cycles: int, phase: float, displacement_cycles: float) -> None:
+        cycles, phase = ahead(cycles, phase, displacement_cycles)
         self._position.value = self._fine.value = self._profile.scale.position(cycles, phase)
         self._status.value |= EXTRAPOLATED
 
@@ -92,8 +92,7 @@ class Prediction:
         ):
             self._status.value &= ~EXTRAPOLATED  # not even to the nominal SYNC
             return
-        cycles, phase = ahead(last.cycles, last.phase, displacement)
-        self._show(cycles, phase)
+        self._show(last.cycles, last.phase, displacement)
 
     def withdraw(self) -> None:
         if self.measured is not None:
