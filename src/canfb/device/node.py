@@ -211,14 +211,14 @@ class Node:
         ValueError if the device has no such TPDO.
         """
         self.call.now = now
-        self.tpdo_trigger(number)(now)
-
-    def tpdo_trigger(self, number: int) -> Callable[[float], None]:
-        """The function that `trigger_tpdo` calls, until `configuration_changed`; ValueError as there."""
         tpdos = self._life.services.pdos.tpdos
         if number not in tpdos:
             raise ValueError(f"there is no TPDO {number}; the EDS has {sorted(tpdos)}")
-        return tpdos[number].at_event
+        tpdos[number].at_event(now)
+
+    def event_tpdos(self) -> list[Callable[[float], None]]:
+        """Events for the TPDOs that take them, until `configuration_changed`."""
+        return [tpdo.at_event for tpdo in self._life.services.pdos.tpdos.values() if tpdo.takes_events]
 
     def emergency(
         self,

@@ -9,10 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from canfb import objects as od
-from canfb.cia301.cob import is_valid
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.module.cia406.alarms import PositionAlarm, Warnings
 from canfb.module.cia406.profile import ALARM_POSITION, EncoderProfile
 from canfb.module.events import EventWatch
@@ -25,8 +23,6 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.sample import FLAGGED_BITS, Feedback
 from canfb.signal.supervision import COASTING, VALID
 
-TPDOS = (1, 2, 3, 4)
-ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; type 0 is sent at the SYNC after the event
 FLAGGED_AND_VALID = FLAGGED_BITS | VALID
 
 
@@ -44,7 +40,7 @@ class Publishing:
     ) -> None:
         self.latest = Latest(chain)
         self.on_feedback: Callable[[Feedback, float], None] | None = None
-        self._dictionary, self._node = dictionary, node
+        self._node = node
         entry = dictionary.entry
         self._status, self._residual = entry(*od.FEEDBACK_STATUS), entry(*od.FEEDBACK_RESIDUAL)
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
@@ -143,13 +139,7 @@ class Publishing:
 
     def configured(self) -> None:
         self.warnings.look_again()
-        self.event_tpdos = [
-            self._node.tpdo_trigger(number) for number in TPDOS if self._is_event_tpdo(number)
-        ]
-
-    def _is_event_tpdo(self, number: int) -> bool:
-        cob_id, kind = (self._dictionary.entry(od.TPDO + number - 1, subindex).value for subindex in (1, 2))
-        return is_valid(cob_id) and kind in ON_EVENT
+        self.event_tpdos = self._node.event_tpdos()
 
     def reset(self) -> None:
         self.latest.forget()

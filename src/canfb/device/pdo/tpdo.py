@@ -67,6 +67,10 @@ class Tpdo(Timed):
     def is_synchronous(self) -> bool:
         return self._is_active and (self._type in SYNCHRONOUS or self._type == SYNC_REMOTE)
 
+    @property
+    def takes_events(self) -> bool:
+        return self._event_driven or (self._is_active and self._type == 0)
+
     def enable(self, operational: bool, now: float) -> None:
         """Activate the TPDO if `operational`; compile the mapping."""
         self._operational = operational
