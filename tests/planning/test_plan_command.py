@@ -225,9 +225,11 @@ def test_saved_parameters_go_before_the_configuration(tmp_path: Path, command: C
 
 
 def test_modules_without_a_node_id_and_those_that_sample_themselves(tmp_path: Path, command: Command) -> None:
-    text = "modules: [{node_id: 255, source: {kind: motion}}, {node_id: 32, serial_number: 1}]\n"
+    text = "modules: [{node_id: 255, source: {kind: motion}}, {node_id: 32, serial_number: 1}, {node_id: 33, "
+    text += "serial_number: 2, samples_per_sync: 4, source: {kind: iio, device: adc, scans_per_sync: 4}}]\n"
     found = command("plan --rpm 3000 --jitter 50us --json", yaml_file(tmp_path, text), code=1).json
-    assert [module["node_id"] for module in found["modules"]] == [127, 32]
+    assert [one["node_id"] for one in found["modules"]] == [127, 32, 33]
+    assert [one["samples_per_sync"] for one in found["modules"]] == [1, 1, 4]
     assert found["modules"][0]["speed"]["largest_rpm"] is None, "the module samples at the exact instant"
 
 

@@ -259,20 +259,21 @@ def in_force(module: PlannedModule) -> dict[tuple[int, int], Any]:
 @pytest.mark.parametrize(("count", "times"), ALL)
 def test_the_pairs_are_counted_as_the_module_counts_them(count: int, times: bool) -> None:
     planned_one = delivered(count, times)
-    assert planned_one.samples_per_sync == count
-    assert planned_one.times is times
-    assert planned_one.sample_bytes == 4 * count + 4 * times
+    assert planned_one.settings.samples_per_sync == count
+    assert (planned_one.times, planned_one.sample_bytes) == (times, 4 * count + 4 * times)
     module = FeedbackModule(ModuleConfig(node_id=0x20, samples_per_sync=count, times=times))
     module.start(0.0)
     assert module.limits.samples_per_sync == count
+    declared = planned(samples_per_sync=count, times=times).budgets[0].declared
+    assert declared.bad_samples == module.limits.bad_samples == max(count, 2)
 
 
 def test_a_pair_that_no_rpdo_brings_ends_the_count() -> None:
     module = delivered(4, times=False)
     gap = {(od.RPDO_MAPPING + 1, 1): module.values[od.RPDO_MAPPING + 1, 3]}  # the sine of pair 2 is not there
-    assert module.with_values(gap).samples_per_sync == 2
+    assert module.with_values(gap).settings.samples_per_sync == 2
     off = {(od.RPDO + 1, 1): module.values[od.RPDO + 1, 1] | 1 << 31}
-    assert module.with_values(off).samples_per_sync == 2
+    assert module.with_values(off).settings.samples_per_sync == 2
 
 
 @pytest.mark.parametrize(("before", "after"), list(itertools.product(ALL, ALL)))
@@ -280,16 +281,13 @@ def test_another_layout_is_that_of_the_configuration(
     before: tuple[int, bool], after: tuple[int, bool]
 ) -> None:
     count, times = after
-    changed = delivered(*before).with_samples(count)
-    if times:
-        changed = changed.with_times()
-    if times or not before[1]:
-        assert in_force(changed) == in_force(delivered(count, times))
+    changed = delivered(*before).with_samples(count, times=times)
+    assert in_force(changed) == in_force(delivered(count, times))
 
 
 def test_what_else_the_pdo_carries_stays() -> None:
     flags = {(od.RPDO_MAPPING, 0): 3, (od.RPDO_MAPPING, 3): od.SAMPLE_FLAGS.mapped(8)}
-    module = delivered(1, times=False).with_values(flags).with_samples(2).with_times()
+    module = delivered(1, times=False).with_values(flags).with_samples(2, times=True)
     second = [module.values[od.RPDO_MAPPING + 1, place] for place in (1, 2)]
     assert second == [od.SAMPLE_TIME.mapped(32), od.SAMPLE_FLAGS.mapped(8)]
     assert module.values[od.RPDO + 1, 1] == 0x290
@@ -298,7 +296,7 @@ def test_what_else_the_pdo_carries_stays() -> None:
 def test_no_rpdo_is_left() -> None:
     others = {(od.RPDO + number, 1): 0x411 + number for number in (1, 2, 3)}
     with pytest.raises(ValueError, match="the samples need 2 RPDOs, and there are 1"):
-        delivered(1, times=True).with_values(others).with_samples(2)
+        delivered(1, times=True).with_values(others).with_samples(2, times=True)
 
 
 @pytest.mark.parametrize("part", [HELD, FLAGGED])

@@ -113,7 +113,8 @@ def _of_the_motion(plan: Plan) -> Ways:
 def _times(plan: Plan) -> Ways:
     if not all(module.times for module in plan.modules):
         try:
-            after = replace(plan, modules=tuple(module.with_times() for module in plan.modules))
+            timed = (one.with_samples(one.settings.samples_per_sync, times=True) for one in plan.modules)
+            after = replace(plan, modules=tuple(timed))
         except ValueError:  # the RPDOs have no room for times
             return
         yield "send sample times with the ADC PDO (times: true)", after
@@ -141,9 +142,12 @@ def _faster(plan: Plan) -> Ways:
 
 
 def _more_samples(plan: Plan) -> Ways:
-    for count in range(min(one.samples_per_sync for one in plan.modules) + 1, MOST_PER_SYNC + 1):
+    for count in range(min(one.settings.samples_per_sync for one in plan.modules) + 1, MOST_PER_SYNC + 1):
         try:
-            modules = tuple(one.with_samples(max(count, one.samples_per_sync)) for one in plan.modules)
+            modules = tuple(
+                one.with_samples(max(count, one.settings.samples_per_sync), times=one.times)
+                for one in plan.modules
+            )
             after = replace(plan, modules=modules)
         except ValueError:  # no free RPDO
             return

@@ -211,7 +211,7 @@ class ResidualBudget:
 
     @property
     def sample_hz(self) -> float:
-        return self.plan.sync_hz * self.module.samples_per_sync
+        return self.plan.sync_hz * self.module.settings.samples_per_sync
 
     @cached_property
     def limit_cycles(self) -> float:
@@ -222,8 +222,7 @@ class ResidualBudget:
 
     @cached_property
     def declared(self) -> Declared:
-        bounds = self.module.settings.bounds(self.interval_s, self.measured_noise_cycles)
-        return replace(bounds, coast_samples=self.module.coast_samples, samples_per_sync=1)
+        return self.module.settings.bounds(self.interval_s, self.measured_noise_cycles)
 
     def detection(self, limit_cycles: float | None = None) -> CountDetection:
         """Detection with the limit in force, or with ``limit_cycles``."""
@@ -267,7 +266,7 @@ class ResidualBudget:
         """Half the range of the sampling instant; 0.0 for a module that samples itself."""
         if self.module.samples_itself:
             return 0.0
-        jitter_s = 0.0 if self.module.samples_per_sync > 1 else self.sync_jitter_s
+        jitter_s = 0.0 if self.module.settings.samples_per_sync > 1 else self.sync_jitter_s
         return (self.known_uncertainty_s if self.module.times else jitter_s) + self.plan.aperture_s
 
     @property
@@ -358,7 +357,7 @@ class ResidualBudget:
 
         0.0 without sample times: the deviation then counts as an error of the position.
         """
-        by_sync = self.module.samples_per_sync == 1 and not self.module.samples_itself
+        by_sync = self.module.settings.samples_per_sync == 1 and not self.module.samples_itself
         return self.sync_jitter_s if self.module.times and by_sync else 0.0
 
     @property

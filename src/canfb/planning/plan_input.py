@@ -18,6 +18,7 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration
 from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, UNCONFIGURED, ModuleConfig
+from canfb.module.parameters import adc_pdos
 from canfb.planning.plan import RPM, Plan
 from canfb.planning.planned_bus import PlannedModule, Values
 from canfb.signal.sample import MOST_PER_SYNC
@@ -124,18 +125,19 @@ def _planned(config: ModuleConfig, found: DeviceConfiguration, options: PlanOpti
         od.SUPERVISION_RESIDUAL_LIMIT: None if limit is None else int(limit * LIMIT_UNITS),
         od.SUPERVISION_NOISE_MARGIN: options.noise_margin,
     }
+    samples_itself = config.source is not None
     module = PlannedModule(
         node_id=found.node_id,
         values={
             **found.values(with_table=False),
+            **(adc_pdos(replace(config, times=False)) if samples_itself else {}),
             **{place: value for place, value in given.items() if value is not None},
         },
         has_table=options.table or bool(found.table),
-        samples_itself=config.source is not None,
+        samples_itself=samples_itself,
     )
-    if options.samples_per_sync is not None:
-        module = module.with_samples(options.samples_per_sync)
-    return module.with_times() if options.times else module
+    per_sync = options.samples_per_sync or module.settings.samples_per_sync
+    return module.with_samples(per_sync, times=options.times or module.times)
 
 
 def _motion(

@@ -147,12 +147,12 @@ def _bus_rows(bus: BusLoad) -> list[Row]:
 
 
 def _heading(budget: ResidualBudget) -> list[str]:
-    module, where = budget.module, budget.plan.where
-    several = f"{module.samples_per_sync} samples per SYNC, " if module.samples_per_sync > 1 else ""
+    settings, where = budget.module.settings, budget.plan.where
+    several = f"{settings.samples_per_sync} samples per SYNC, " if settings.samples_per_sync > 1 else ""
     by = "2010:02 and 2010:09" if budget.has_noise_margin else "2010:02"
     narrowed = f", narrowed by {by}" if budget.is_narrowed else ""
     return [
-        f"{module.settings.cycles_per_revolution} cycles per revolution, {several}residual limit "
+        f"{settings.cycles_per_revolution} cycles per revolution, {several}residual limit "
         f"{budget.limit_cycles:.3f} cycle{narrowed}",
         *([f"  {where}"] if where else []),
     ]
@@ -170,7 +170,7 @@ def _module_rows(budget: ResidualBudget) -> list[Row]:
         Row(
             node_id=module.node_id,
             cycles_per_revolution=module.settings.cycles_per_revolution,
-            samples_per_sync=module.samples_per_sync,
+            samples_per_sync=module.settings.samples_per_sync,
             sample_bytes=module.sample_bytes,
             times=module.times,
             table=module.has_table,
@@ -233,7 +233,7 @@ def _instants(budget: ResidualBudget) -> str:
         return "the module samples itself: the jitter of SYNC does not matter"
     if budget.module.times:
         return "sample times: the jitter of SYNC does not limit the speed"
-    if budget.module.samples_per_sync > 1:
+    if budget.module.settings.samples_per_sync > 1:
         return (
             "the interface samples by its own timer; without times a SYNC early by more than 20 µs plus 0.3 "
             "of the answer delay costs its sample in motion"
@@ -311,7 +311,7 @@ def _detection(found: CountDetection) -> dict[str, Any]:
             "cycles_per_interval_to_the_order": found.declared.followed,
             "phase_error_cycles": found.declared.phase_error,
             "bad_samples": found.declared.bad_samples,
-            "coast_samples": found.declared.coast_samples,
+            "coast_samples": found.declared.coasting,
             "holds": found.is_declared,
         },
         "half_cycle": found.half_cycle,
@@ -339,7 +339,7 @@ def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
     }
     return [
         "missed or flagged samples in a row after which the position is certain: "
-        f"{kept}, at most {budget.module.coast_samples} (2010:03)",
+        f"{kept}, at most {declared.coasting} (2010:03)",
         f"  declared: {followed}; phase error {declared.phase_error:.3g} cycle (2010:0C); "
         f"up to {declared.bad_samples} bad unnoticed (2010:0A)",
         *those(

@@ -265,7 +265,7 @@ class PlannedModule:
     """A feedback module.
 
     node_id           1..127
-    values            its objects, as a master would write them
+    values            its objects, as a master would write them; its ADC PDOs also if it samples itself
     has_table         a correction table is in force
     samples_itself    it has a source instead of the ADC PDO
     """
@@ -279,18 +279,9 @@ class PlannedModule:
     def settings(self) -> LimitSettings:
         return limit_settings(self.values.get)
 
-    @property
-    def coast_samples(self) -> int:
-        """2010:03 in sampling intervals."""
-        return self.settings.coast_samples * self.samples_per_sync
-
     @cached_property
     def times(self) -> bool:
         return self.samples_itself or self.settings.timed
-
-    @cached_property
-    def samples_per_sync(self) -> int:
-        return 1 if self.samples_itself else self.settings.samples_per_sync
 
     @property
     def sample_bytes(self) -> int:
@@ -299,14 +290,11 @@ class PlannedModule:
     def with_values(self, values: Mapping[Place, Any]) -> PlannedModule:
         return replace(self, values={**self.values, **values})
 
-    def with_times(self) -> PlannedModule:
-        """The module with ``times: true``. ValueError without room in the RPDOs."""
-        if self.times:
-            return self
-        return self.with_values(laid_out(self.values, self.samples_per_sync, times=True))
+    def with_samples(self, per_sync: int, *, times: bool) -> PlannedModule:
+        """With ``samples_per_sync``, 1..8, and ``times``, unless it samples itself.
 
-    def with_samples(self, per_sync: int) -> PlannedModule:
-        """The module with ``samples_per_sync``, 1..8. ValueError without room in the RPDOs."""
-        if self.samples_itself or per_sync == self.samples_per_sync:
+        ValueError without room in the RPDOs.
+        """
+        if self.samples_itself or (per_sync, times) == (self.settings.samples_per_sync, self.times):
             return self
-        return self.with_values(laid_out(self.values, per_sync, self.times))
+        return self.with_values(laid_out(self.values, per_sync, times))
