@@ -37,6 +37,7 @@ from canfb.master.session import KINDS, Session, SupervisionLimits, check_limits
 from canfb.report import pictures
 from canfb.report.page import figure, gallery, page, section, table
 from canfb.rows import Findings, Result, Row, Section, those
+from canfb.signal.chain_config import ChainLimits
 from canfb.signal.limits import RPM, samples_without_harm
 from canfb.view.module_view import coarse_layout
 
@@ -60,15 +61,17 @@ class CommissionOptions:
 class Commissioned:
     """Result of ``canfb commission``.
 
-    before, new       limits in the module before, and chosen limits; choices: each with its reason
+    before, new       limits of the chain before, and chosen ones; choices: each with its reason
+    coast_samples     2010:03
     usual             samples that the module flagged during the measurement, by fault
     written           the limits were written
     saved_as          object that saved them, None: not saved
     """
 
     observed: Observation
-    before: SupervisionLimits
-    new: SupervisionLimits
+    before: ChainLimits
+    new: ChainLimits
+    coast_samples: int
     choices: list[Choice]
     usual: Mapping[str, int]
     wishes: CommissionOptions
@@ -79,20 +82,18 @@ class Commissioned:
     @property
     def largest_acceleration(self) -> float:
         """Of the machine, cycles per interval^2: 2010:02, or the measured one if that is 0."""
-        return (
-            self.new.chain_limits(self.observed.interval_s).acceleration or self.observed.motion.acceleration
-        )
+        return self.new.acceleration or self.observed.motion.acceleration
 
-    def deviation(self, limits: SupervisionLimits) -> float:
+    def deviation(self, limits: ChainLimits) -> float:
         """L + a of docs/supervision.md with these limits; cycles."""
-        return limits.chain_limits(self.observed.interval_s).residual_limit + self.largest_acceleration
+        return limits.residual_limit + self.largest_acceleration
 
-    def without_harm(self, limits: SupervisionLimits) -> int:
+    def without_harm(self, limits: ChainLimits) -> int:
         return samples_without_harm(self.deviation(limits))
 
 
 def machine_facts(done: Commissioned) -> list[Row]:
-    machine, n = done.observed, done.new.settings.cycles_per_revolution
+    machine, n = done.observed, done.new.cycles_per_revolution
     motion, tracks, samples = machine.motion, machine.tracks, done.observed.samples
     slowest, fastest = (machine.rad(speed, 1, n) * RPM for speed in (motion.slowest, motion.fastest))
     acceleration, jerk = machine.rad(motion.acceleration, 2, n), machine.rad(motion.jerk, 3, n)
@@ -192,7 +193,7 @@ def notes(done: Commissioned) -> list[str]:
     missed = done.observed.samples.missed
     return those(
         (
-            done.observed.motion.turned < done.new.settings.cycles_per_revolution,
+            done.observed.motion.turned < done.new.cycles_per_revolution,
             "the machine moved less than one revolution: the amplitude elsewhere on the scale is not known",
         ),
         (missed, f"{missed} samples are missing: each is flagged with any limits"),
@@ -201,7 +202,7 @@ def notes(done: Commissioned) -> list[str]:
 
 def limit_rows(done: Commissioned) -> list[Row]:
     """A row for each limit: object and name; before, proposed, reason."""
-    interval_s, n = done.observed.interval_s, done.new.settings.cycles_per_revolution
+    interval_s, n = done.observed.interval_s, done.new.cycles_per_revolution
     return [
         Row(
             f"{od.place_text(one.place)} {KINDS[one.place].name}",
@@ -231,11 +232,10 @@ def detection_words(done: Commissioned) -> str:
 
 
 def kept_words(done: Commissioned) -> str:
-    interval_s, motion = done.observed.interval_s, done.largest_acceleration
-    before, new = (one.chain_limits(interval_s).kept_samples(motion) for one in (done.before, done.new))
+    before, new = (one.kept_samples(done.largest_acceleration) for one in (done.before, done.new))
     return (
         f"After up to {new} missed or flagged samples in a row the position is certain, {before} with the "
-        f"limits before (2010:03 bridges {done.new.settings.coast_samples}). A machine that exceeds the "
+        f"limits before (2010:03 bridges {done.coast_samples}). A machine that exceeds the "
         "acceleration or the phase error declared here can leave a position valid and wrong after a fault"
     )
 
@@ -252,17 +252,17 @@ def outcome(done: Commissioned) -> str:
 
 
 def findings(done: Commissioned) -> Findings:
-    interval_s, motion = done.observed.interval_s, done.largest_acceleration
+    motion = done.largest_acceleration
     figures = Row(
         margin=done.wishes.margin,
         notes=notes(done),
-        residual_limit_in_force_cycles=done.new.chain_limits(interval_s).residual_limit,
+        residual_limit_in_force_cycles=done.new.residual_limit,
         deviation_cycles=done.deviation(done.new),
         deviation_before_cycles=done.deviation(done.before),
         bad_samples_detected=done.without_harm(done.new),
         bad_samples_detected_before=done.without_harm(done.before),
-        missed_samples_kept=done.new.chain_limits(interval_s).kept_samples(motion),
-        missed_samples_kept_before=done.before.chain_limits(interval_s).kept_samples(motion),
+        missed_samples_kept=done.new.kept_samples(motion),
+        missed_samples_kept_before=done.before.kept_samples(motion),
         written=done.written,
         saved=done.saved_as is not None,
         **where_words(done.where),
@@ -296,39 +296,37 @@ def write_page(folder: Path, done: Commissioned) -> Path:
 
 
 def _pictures(done: Commissioned) -> list[str]:
-    machine, interval_s = done.observed, done.observed.interval_s
-    old, new = (limits.chain_limits(interval_s).residual_limit for limits in (done.before, done.new))
-    low, high = (
-        done.new.values[place] for place in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
-    )
-    largest = done.new.chain_limits(interval_s).acceleration or 0.0
-    to_rad = machine.rad(1.0, 2, done.new.settings.cycles_per_revolution)
+    machine, new = done.observed, done.new
+    to_rad = machine.rad(1.0, 2, new.cycles_per_revolution)
     return [
         figure(
             "Residual",
             "of each sample, eq. 12, with the residual limit in force",
-            pictures.residual_histogram(machine.motion.residual, old, new),
+            pictures.residual_histogram(
+                machine.motion.residual, done.before.residual_limit, new.residual_limit
+            ),
         ),
         figure(
             "Amplitude over the phase",
             "lowest, mean and highest of the samples in each 1/64 cycle, with its limits",
-            pictures.amplitude_over_phase(machine.tracks.over_phase, low, high),
+            pictures.amplitude_over_phase(
+                machine.tracks.over_phase, new.sample.amplitude_low_counts, new.sample.amplitude_high_counts
+            ),
         ),
         figure(
             "Acceleration over time",
             "averaged as the noise requires, with the limit 2010:02",
             pictures.acceleration_over_time(
-                to_rad * smooth_acceleration(machine.motion.residual), interval_s, to_rad * largest
+                to_rad * smooth_acceleration(machine.motion.residual),
+                machine.interval_s,
+                to_rad * (new.acceleration or 0.0),
             ),
         ),
         figure(
             "Lissajous figure",
             "all samples within the new limits of the amplitude",
             pictures.lissajous(
-                machine.samples.sine,
-                machine.samples.cosine,
-                machine.used.conditioning,
-                done.new.chain_limits(interval_s).sample,
+                machine.samples.sine, machine.samples.cosine, machine.used.conditioning, new.sample
             ),
         ),
     ]
@@ -412,7 +410,8 @@ def commission(
     steps.step(f"calculating from {len(samples)} samples")
     observed = observe(samples, session.active, limits, readings)
     choices = choose(observed, limits, wishes.margin, wishes.acceleration)
-    new = limits.changed({one.place: one.value for one in choices})
+    chosen = limits.changed({one.place: one.value for one in choices})
+    before, new = (one.chain_limits(observed.interval_s) for one in (limits, chosen))
     _prove(observed, new)
     changes = [one for one in choices if one.changes]
     saved_as = None
@@ -429,8 +428,9 @@ def commission(
         steps.step(f"the limits are in force{', and saved' * (saved_as is not None)}")
     done = Commissioned(
         observed,
-        limits,
+        before,
         new,
+        limits.settings.coast_samples,
         choices,
         usual,
         wishes,
@@ -463,10 +463,8 @@ def _collect(
     return record(session.module, wishes.seconds, None, progress), found
 
 
-def _prove(observed: Observation, new: SupervisionLimits) -> None:
-    again = supervise(
-        observed.samples, observed.used, new.chain_limits(observed.interval_s), observed.start_speed
-    )
+def _prove(observed: Observation, new: ChainLimits) -> None:
+    again = supervise(observed.samples, observed.used, new, observed.start_speed)
     before = observed.followed.flagged
     more = {name: count for name, count in again.flagged.items() if count > before.get(name, 0)}
     if more:
