@@ -193,6 +193,8 @@ def test_a_configuration_and_options_before_it(tmp_path: Path, command: Command)
     assert "SYNC ±335 µs: producer 200, " in part, "10 % of sync_period_us"
     assert other["modules"][0]["cycles_per_revolution"] == 1000
     assert other["modules"][0]["acceleration"]["stated_rad_s2"] == 3.0
+    said = command("plan --rate 1000 --acceleration 300 --rpm 0", yaml_file(tmp_path, text), code=1).out
+    assert "first, for acceleration: set max_acceleration_rad_s2 (2010:02) to 300, which" in said
     poor = yaml_file(tmp_path, "modules: [{node_id: 32, phase_error_cycles: 0.05}]\n")
     assert "first, for detection: set max_acc" in command("plan --acceleration 80", poor).out
     for error, exceeds in ((0.05, False), (0.055, True)):

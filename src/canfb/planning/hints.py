@@ -45,7 +45,7 @@ def changes_of(plan: Plan) -> list[PlanChange]:
         plan = found.plan
     limit = widest_limit(plan)
     for ways, gains in ((_narrower, lambda one: widest_limit(one) < NARROWED * limit), (_sharper, is_sharp)):
-        if asked_acceleration(plan) and not (ways is _sharper and is_sharp(plan)):
+        if asked_acceleration(plan):
             good = (step for step in ways(plan) if step[1].holds and gains(step[1]))
             for text, after in list(good)[:1]:
                 steps.append(PlanChange("detection", text, after))
@@ -87,7 +87,7 @@ def _of_the_speed(plan: Plan) -> Ways:
     yield from _table(plan)
     rpm = _as_shown(min(one.largest_speed_rad_s for one in plan.budgets) * RPM)
     if rpm > 0.0:
-        yield f"turn at {rpm:.4g} rpm at most", replace(plan, speed_rad_s=rpm / RPM)
+        yield f"turn at {rpm:.15g} rpm at most", replace(plan, speed_rad_s=rpm / RPM)
 
 
 def _of_the_motion(plan: Plan) -> Ways:
@@ -105,7 +105,7 @@ def _of_the_motion(plan: Plan) -> Ways:
     most = _as_shown(min(one.largest_acceleration_rad_s2 for one in plan.budgets))
     if 0.0 < most < asked:
         gentler = replace(plan, acceleration_rad_s2=most, is_final=True)
-        yield f"accelerate by {most:.4g} rad/s^2 at most", gentler
+        yield f"accelerate by {most:.15g} rad/s^2 at most", gentler
     quiet = replace(plan, noise_counts=0.0)
     yield "average the tracks, or raise their amplitude: their noise alone exceeds the limit", quiet
 
@@ -168,7 +168,7 @@ def _narrower(plan: Plan) -> Ways:
 
 
 def _sharper(plan: Plan) -> Ways:
-    if not all(one.settings.acceleration_rad_s2 for one in plan.modules):
+    if is_sharp(plan) or not all(one.settings.acceleration_rad_s2 for one in plan.modules):
         return
     yield _narrowed(plan, od.SUPERVISION_NOISE_MARGIN, NOISE_MARGIN, "noise_margin (2010:09)")
     declared = max(one.settings.phase_error_cycles for one in plan.modules)
