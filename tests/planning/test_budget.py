@@ -116,9 +116,9 @@ def test_the_known_acceleration_narrows_as_in_the_module_and_its_margin_is_1() -
         LIMIT, 25.0, 2500, 1e-3, phase_error_cycles=819 / 65536
     )
     assert one.asked_rad_s2 == 25.0
-    assert one.margin == 1.0
+    assert one.margins[Limited.RESIDUAL] == 1.0
     assert known(planned(acceleration_rad_s2=5.0), 25.0).asked_rad_s2 == 5.0
-    assert known(planned(acceleration_rad_s2=26.0), 25.0).margin < 1.0
+    assert known(planned(acceleration_rad_s2=26.0), 25.0).margins[Limited.RESIDUAL] < 1.0
 
 
 def test_an_uncorrected_phase_takes_what_the_module_allows_it_and_noise_is_within() -> None:

@@ -177,16 +177,9 @@ class Plan:
     @cached_property
     def margins(self) -> tuple[Margin, ...]:
         """All margins, smallest factor first."""
-        speed = self.speed_rad_s
         found = [Margin(Limited.BUS, None, over(1.0, self.bus.load))]
         for budget in self.budgets:
-            module = budget.module
-            if speed is not None:
-                found.append(Margin(Limited.SPEED, module, over(budget.largest_speed_rad_s, speed)))
-            if budget.asked_rad_s2 is not None:
-                limit = budget.largest_acceleration_rad_s2
-                found.append(Margin(Limited.ACCELERATION, module, over(limit, budget.asked_rad_s2)))
-            found.append(Margin(Limited.RESIDUAL, module, budget.margin))
+            found += [Margin(limited, budget.module, factor) for limited, factor in budget.margins.items()]
         return tuple(sorted(found, key=lambda margin: margin.factor))
 
     @property
@@ -293,9 +286,14 @@ class ResidualBudget:
     def needed_cycles(self) -> float:
         return sum(self.parts_cycles.values())
 
-    @property
-    def margin(self) -> float:
-        return over(self.limit_cycles, self.needed_cycles)
+    @cached_property
+    def margins(self) -> dict[Limited, float]:
+        each = {
+            Limited.SPEED: (self.largest_speed_rad_s, self.plan.speed_rad_s),
+            Limited.ACCELERATION: (self.largest_acceleration_rad_s2, self.asked_rad_s2),
+            Limited.RESIDUAL: (self.limit_cycles, self.needed_cycles),
+        }
+        return {what: over(limit, value) for what, (limit, value) in each.items() if value is not None}
 
     @property
     def equation_rad_s2(self) -> float:

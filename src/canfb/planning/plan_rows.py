@@ -22,7 +22,7 @@ from canfb.planning.coverage import (
     window_of,
 )
 from canfb.planning.hints import PlanChange
-from canfb.planning.plan import RPM, CountDetection, Plan, ResidualBudget, over
+from canfb.planning.plan import RPM, CountDetection, Limited, Plan, ResidualBudget, over
 from canfb.planning.planned_bus import BusLoad, Message, PlannedModule
 from canfb.rows import Row, as_figures, finite, those
 from canfb.signal.conditioning import IDENTITY, Conditioning
@@ -72,10 +72,6 @@ def _factor(factor: float) -> str:
         return "unlimited"
     digits = 2 if factor < 2.0 else 1
     return f"{math.floor(factor * 10**digits + 1e-6) / 10**digits:.{digits}f}"
-
-
-def _margin(limit: float, value: float | None) -> float | None:
-    return None if value is None else finite(over(limit, value))
 
 
 # The bus.
@@ -164,7 +160,7 @@ def _module_rows(budget: ResidualBudget) -> list[Row]:
         "stated_rpm": None if speed is None else finite(speed * RPM),
         "largest_rpm": finite(largest * RPM),
         "equation_rpm": finite(budget.equation_speed_rad_s * RPM),
-        "margin": _margin(largest, speed),
+        "margin": finite(budget.margins.get(Limited.SPEED, math.inf)),
     }
     return [
         Row(
@@ -186,11 +182,11 @@ def _module_rows(budget: ResidualBudget) -> list[Row]:
         _margin_row(
             "residual",
             f"{budget.needed_cycles:.3f} of {budget.limit_cycles:.3f} cycle",
-            budget.margin,
+            budget.margins[Limited.RESIDUAL],
             residual={
                 "needed_cycles": finite(budget.needed_cycles),
                 "parts_cycles": {what: finite(cycles) for what, cycles in budget.parts_cycles.items()},
-                "margin": budget.margin,
+                "margin": budget.margins[Limited.RESIDUAL],
             },
         ),
         Row("", " + ".join(f"{what} {cycles:.3f}" for what, cycles in budget.parts_cycles.items())),
@@ -254,7 +250,7 @@ def _motion_rows(budget: ResidualBudget) -> list[Row]:
         "equation_12_rad_s2": budget.equation_rad_s2,
         "equation_10_rad_s2": budget.paper_rad_s2,
         "least_sync_hz": finite(least),
-        "margin": _margin(largest, asked),
+        "margin": finite(budget.margins.get(Limited.ACCELERATION, math.inf)),
     }
     equations = f"eq. 12 alone allows {budget.equation_rad_s2:.4g}, eq. 10 {budget.paper_rad_s2:.4g}"
     return [
