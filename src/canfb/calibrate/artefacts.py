@@ -112,11 +112,10 @@ def report_html(
     measured: Measurement, done: Installation, where: Provenance, limits: SampleLimits | None = None
 ) -> str:
     found = findings(measured, done, where)
-    tables = "".join(map(section, found.sections))
     return _page(
         where,
         found.said,
-        beside(tables, _lissajous(measured.samples, measured.found, limits))
+        beside("".join(map(section, found.sections)), _lissajous(measured.samples, measured.found, limits))
         + _over_speed(measured, where)
         + gallery("Pictures", _pictures(measured, done))
         + table("Origin", origins(where), style="origin"),

@@ -162,8 +162,9 @@ class CalibrationRun:
         self._steps.step("the module measures")
         if self._choices.check:
             session.check_interface()
-            drift = let_check(session.module, self._steps.part)
-            return module_drift_result(drift, session.active, self._where)
+            return module_drift_result(
+                let_check(session.module, self._steps.part), session.active, self._where
+            )
         samples = session.together(let_measure(session.module, session.layout(), self._steps.part))
         self._look(session, before)
         with contextlib.ExitStack() as unless_accepted:
@@ -248,13 +249,10 @@ class CalibrationRun:
         self, samples: Sequence[SpeedSamples], settings: Settings, before: InForce
     ) -> Measurement:
         lowest = min(samples, key=lambda one: abs(one.hertz)).samples
-        delay = self._choices.delay_to_set
-        out = self._choices.out
-        if out is not None:
-            keep_speeds(out, samples)
-        return self._judged(
-            lowest, lambda: measure_speeds(samples, settings, before, self._steps.part, delay)
-        )
+        if self._choices.out is not None:
+            keep_speeds(self._choices.out, samples)
+        part, delay = self._steps.part, self._choices.delay_to_set
+        return self._judged(lowest, lambda: measure_speeds(samples, settings, before, part, delay))
 
     def _check_at_speed(self, session: Session) -> Result:
         choices = self._choices

@@ -286,8 +286,9 @@ def measure(
     if samples.at_speed and conditioning is None:
         kept = without_harmonics(kept)
     calibration = replace(calibration, conditioning=kept)
-    found = calibration.correction
-    on_samples = best_deviation(samples.recording(settings.adc_bits), found, before, block_of(calibration))
+    on_samples = best_deviation(
+        samples.recording(settings.adc_bits), calibration.correction, before, block_of(calibration)
+    )
     return Measurement(samples, calibration, before, on_samples)
 
 
@@ -359,8 +360,7 @@ def measure_speeds(
             )
     over = OverSpeeds(found.path, before, after, errors)
     lowest = min(samples, key=lambda one: abs(one.hertz))
-    on_samples = over.near(0.0).deviation
-    return Measurement(lowest.samples, found.calibration, before.correction, on_samples, over)
+    return Measurement(lowest.samples, found.calibration, before.correction, over.near(0.0).deviation, over)
 
 
 def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) -> float:

@@ -121,8 +121,10 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     parts = [table_of(raw_phase_curve(one.waveform, conditioning), entries).entries for one in each]
     measured = measured_error(parts)
     tables = [CorrectionTable(np.mean(parts[odd::2], axis=0)) for odd in (0, 1)]
-    of_tables = _change(fit, sensitivity, max(1.0, measured / expected))
-    change = max(of_tables, change_of_figure(record, fit.waveform, conditioning))
+    change = max(
+        _change(fit, sensitivity, max(1.0, measured / expected)),
+        change_of_figure(record, fit.waveform, conditioning),
+    )
     bound = float(np.sqrt(table_variance(sensitivity, bound_covariance(fit)).mean()))
     before, after = _deviations(blocks, position, conditioning, tables)
     moving = use & fit.informative[:, None]
@@ -288,8 +290,10 @@ def calibrate_from_zero_crossings(
         parts.append(_Cycles.of(chosen, back))
     parts = [part.take(part.agreeing()) for part in parts]
     noise = measured * np.sqrt([len(good) / len(part) for part in parts])
-    of_tables = largest_change(np.array([part.table().entries for part in parts]), noise)
-    change = max(of_tables, change_of_figure(record, good.waveform(), chosen))
+    change = max(
+        largest_change(np.array([part.table().entries for part in parts]), noise),
+        change_of_figure(record, good.waveform(), chosen),
+    )
     report(0.9)
     samples_left_out = int(record.valid.sum()) - len(good.phase)
     amplitude = root_mean(np.hypot(s[usable], c[usable]))

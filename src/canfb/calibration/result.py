@@ -270,10 +270,9 @@ CHANGE_SPEED = (
 
 def check_distance(coverage: float, cycles: float) -> None:
     if coverage < MIN_COVERAGE:
-        locked = cycles >= MIN_CYCLES
         raise CalibrationError(
             f"only {100 * coverage:.0f} % of the cycle was sampled: {CHANGE_SPEED}",
-            Reason.LOCKED if locked else Reason.COVERAGE,
+            Reason.LOCKED if cycles >= MIN_CYCLES else Reason.COVERAGE,
         )
     if cycles < MIN_CYCLES:
         raise CalibrationError(

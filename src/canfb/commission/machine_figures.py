@@ -90,7 +90,6 @@ def motion_figures(samples: SupervisedSamples) -> MotionFigures:
     """Motion of ``samples``: more than the longest window, at least two adjacent ones valid."""
     speed, elapsed = samples.speed, samples.elapsed
     acceleration = np.diff(speed) / ((elapsed[2:] + elapsed[1:-1]) / 2.0)
-    position = samples.position[samples.valid]
     moves = np.abs(speed) >= MOVING_CYCLES
     noise = _noise(acceleration, np.where(moves, np.abs(speed), np.nan)[1:])
     slow = _known(np.convolve(speed, _bell(8), "valid"))  # averaged: between two samples it is mostly noise
@@ -99,7 +98,7 @@ def motion_figures(samples: SupervisedSamples) -> MotionFigures:
     return MotionFigures(
         slowest=float(slow.min()),
         fastest=float(slow.max()),
-        turned=float(np.ptp(position)),
+        turned=float(np.ptp(samples.position[samples.valid])),
         moving=float(np.mean(moves[np.isfinite(speed)])),
         acceleration=_largest(acceleration, noise, np.array([1.0, -2.0, 1.0])),
         jerk=_largest(np.diff(acceleration), noise, np.array([1.0, -3.0, 3.0, -1.0])),

@@ -384,13 +384,13 @@ def _finish(network: DemoNetwork, story: Story) -> None:
 
 
 def _move_servo(network: DemoNetwork, story: Story) -> None:
-    correction = network.module.chain.correction
-    story.servo = [_run(network.encoder, correction, network.seed, way) for way in WAYS]
-    two_samples = story.servo[0]
+    used = network.module.chain.correction
+    story.servo = [_run(network.encoder, used, network.seed, way) for way in WAYS]
+    first = story.servo[0]
     story.checks |= {
-        "servo move counted exactly": two_samples.exact,
+        "servo move counted exactly": first.exact,
         f"servo residuals below {MOST_RESIDUAL_CYCLES:g} cycle": bool(
-            two_samples.largest_residual < MOST_RESIDUAL_CYCLES
+            first.largest_residual < MOST_RESIDUAL_CYCLES
         ),
     }
 

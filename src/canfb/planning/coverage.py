@@ -110,10 +110,9 @@ def second_tolerance(budget: ResidualBudget) -> float | None:
 def area_coverage(window: SampleWindow) -> Shares:
     """Coverage for voltages anywhere in the range of the converter."""
     full = float(window.sample.full_scale_counts)
-    whole = 4.0 * full * full
     ring = (
         _disc(window.sample.amplitude_high_counts, full) - _disc(window.sample.amplitude_low_counts, full)
-    ) / whole
+    ) / (4.0 * full * full)
     left = min(1.0, 2.0 * window.limit_cycles)
     near = min(left, 2.0 * window.tolerance_cycles)
     return Shares(1.0 - ring, 1.0 - ring * left, 1.0 - ring * near)
