@@ -164,11 +164,6 @@ def declare_phase_error(module: NodeAccess, peak_cycles: float) -> float:
     return units / LIMIT_UNITS
 
 
-FIGURES = (
-    od.MEASUREMENT_DRIFT_RMS,
-    od.MEASUREMENT_DRIFT_PEAK,
-    od.MEASUREMENT_RESIDUAL_RMS,
-)
 LOOK_S = 0.2
 STANDING_S = 2.0  # without samples for this long, the module waits for an action of the user
 PATIENCE_S = 120.0  # longest time without progress: a slow computer may calculate for long
@@ -195,11 +190,11 @@ def let_check(module: NodeAccess, progress: Progress) -> tuple[float, float, flo
     _start(module, od.MeasurementCommand.CHECK)
     try:
         _wait(module, od.MeasurementState.CHECKED, progress, lambda: None)
-        rms, peak, noise = (float(module.read(*figure, "f")) for figure in FIGURES)
-        coverage = module.integer(*od.MEASUREMENT_COVERAGE, "B") / 100.0
+        places = od.MEASUREMENT_DRIFT_RMS, od.MEASUREMENT_DRIFT_PEAK, od.MEASUREMENT_RESIDUAL_RMS
+        rms, peak, noise = (float(module.read(*place, "f")) for place in places)
+        return rms, peak, noise, module.integer(*od.MEASUREMENT_COVERAGE, "B") / 100.0
     finally:
         discard(module)
-    return rms, peak, noise, coverage
 
 
 def discard(module: NodeAccess) -> None:
