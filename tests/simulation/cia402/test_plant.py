@@ -441,8 +441,7 @@ def test_a_deviation_that_stays_is_integrated_up_to_the_limit() -> None:
     assert torques[-1] == 0.5
     assert loop.limited
     assert step(loop, Demand(0.0), 0.0, 0.5) < 0.5, "it leaves the limit at once"
-    loop.reset()
-    assert step(loop, Demand(0.0), 0.0, 0.0) == 0.0
+    assert step(PositionLoop(), Demand(0.0), 0.0, 0.0) == 0.0
 
 
 @given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(-1e4, 1e4), st.floats(-1e3, 1e3))
@@ -488,8 +487,7 @@ T = 1e-3
 
 @pytest.mark.parametrize("speed", [-100.0, 100.0, 0.05])
 def test_a_ramp_takes_the_way_of_its_deceleration(speed: float) -> None:
-    trajectory = Trajectory()
-    trajectory.place(0.0, speed)
+    trajectory = Trajectory(0.0, speed)
     count = 1
     while not trajectory.brake(1000.0, T):
         count += 1

@@ -17,10 +17,7 @@ from canfb.simulation.cia402.state_machine import Status
 class Trajectory:
     """Position demand with its speed: straight lines between targets (cyclic synchronous position)."""
 
-    def __init__(self) -> None:
-        self.place(0.0)
-
-    def place(self, position: float, speed: float = 0.0) -> None:
+    def __init__(self, position: float = 0.0, speed: float = 0.0) -> None:
         self.position, self.speed = position, speed
         self.drop_target()
 
@@ -92,9 +89,6 @@ class PositionLoop:
     """Computes the torque from demand and position."""
 
     def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
         self._integral_nm = 0.0
         self.limited = False  # whether the last step limited torque or speed
 
@@ -158,11 +152,10 @@ class Axis:
     ) -> None:
         self.scaling = Scaling(dictionary)
         self._feedback = feedback
-        self._loop = PositionLoop()
+        self._loop, self._trajectory = PositionLoop(), Trajectory()
         # Increments per revolution of an encoder on the motor, then shown in 6063h; 0: no such encoder.
         self._motor_increments = motor_increments
         self._on_mode = on_mode  # Called after 6060h is written.
-        self._trajectory = Trajectory()
         entry = dictionary.entry
         self._target, self._mode, self._display = entry(0x607A), entry(0x6060), entry(0x6061)
         self._lowest, self._highest = entry(0x607D, 1), entry(0x607D, 2)
@@ -196,7 +189,7 @@ class Axis:
 
     def start(self) -> None:
         """At power-on: hold the present position, not 607Ah."""
-        self._loop.reset()
+        self._loop = PositionLoop()
         self._place()
         self._new_target = self._braking = False
         self._outside_since_s = math.inf
@@ -254,7 +247,6 @@ class Axis:
     def power_off(self) -> None:
         self._torque_demand.value = 0
         self._error_entry.value = 0
-        self._loop.reset()
 
     def show_mode(self) -> bool:
         changed = self._display.value != self.mode
@@ -309,7 +301,7 @@ class Axis:
         return bool(window != OFF and abs(self._error_units()) > window)
 
     def _place(self, speed: float = 0.0) -> None:
-        self._trajectory.place(self._feedback.revolutions * self.scaling.units, speed)
+        self._trajectory = Trajectory(self._feedback.revolutions * self.scaling.units, speed)
         self._demand_entry.value = wrapped(round(self._trajectory.position))
 
     def _mode_written(self) -> None:

@@ -52,7 +52,6 @@ class ServoDrive(MachineNode):
         self._watched_from_s = 0.0
         self._stop_by_s = math.inf
         self._rpdo: int | None = None
-        self._events: list[int] = []
         entry = self.dictionary.entry
         sync = entry(*od.SYNC_COB_ID)
         plant.sync_cob_id = lambda: sync.value
