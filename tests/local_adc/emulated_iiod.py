@@ -314,9 +314,8 @@ def until(happened: Callable[[], bool], what: str) -> None:
 def iio_source(config: IioSourceConfig, reopen_s: float = REOPEN_S) -> CapturedSource:
     """The source of this configuration; what opens it closes it."""
     with contextlib.ExitStack() as resources:
-        source = config.open(
-            Surroundings(12, 2500, SimulationConfig, partial(CapturedSource, reopen_s=reopen_s), resources)
-        )
+        captured = partial(CapturedSource, reopen_s=reopen_s)
+        source = config.open(Surroundings(12, 2500, SimulationConfig().source, captured, resources))
     assert isinstance(source, CapturedSource)
     return source
 

@@ -235,7 +235,11 @@ def open_source(
         return resources.enter_context(contextlib.closing(CapturedSource(*opening)))
 
     around = Surroundings(
-        config.adc_bits, config.cycles_per_revolution, lambda: whole.simulation, captured, resources
+        config.adc_bits,
+        config.cycles_per_revolution,
+        lambda *asked: whole.simulation.source(*asked),  # loads what simulates when it is asked for
+        captured,
+        resources,
     )
     source = settings.open(around)
     if isinstance(source, Converter):

@@ -23,6 +23,6 @@ class MotionSourceConfig(SourceConfig):
         number_in("rate_hz", self.rate_hz, 0.1, 100_000.0)
 
     def open(self, surroundings: Surroundings) -> Source:
-        return surroundings.simulation().source(
+        return surroundings.simulated(
             surroundings.adc_bits, surroundings.cycles_per_revolution, 1.0 / self.rate_hz
         )

@@ -94,19 +94,13 @@ class Capture(Protocol):
         """End :meth:`refill` with an OSError, now and in future calls."""
 
 
-class SimulatedMachine(Protocol):
-    """The machine of the ``simulation:`` section."""
-
-    def source(self, adc_bits: int, cycles_per_revolution: int, interval_s: float) -> Source:
-        """Its encoder, sampled once every ``interval_s`` seconds."""
-
-
 @dataclass(frozen=True)
 class Surroundings:
     """What a source may use when it is opened.
 
     adc_bits, cycles_per_revolution   of the module
-    simulation                        returns the simulated machine
+    simulated                         (adc_bits, cycles_per_revolution, interval_s): gives the encoder of
+                                      ``simulation:``, sampled every ``interval_s`` seconds
     captured                          (opened, name, wait_s, picked): runs a capture in a thread; returns a
                                       source of the scans selected by ``picked`` (None: the newest); a SYNC
                                       waits ``wait_s`` for the scan that it fired
@@ -115,7 +109,7 @@ class Surroundings:
 
     adc_bits: int
     cycles_per_revolution: int
-    simulation: Callable[[], SimulatedMachine]
+    simulated: Callable[[int, int, float], Source]
     captured: Callable[..., Source]
     resources: contextlib.ExitStack
 
