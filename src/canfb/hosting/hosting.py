@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from canfb.bus.clocks import now_s
 from canfb.bus.opening import check_device_bus, check_words, describe
 from canfb.bus.runner import DeviceFailure
 from canfb.configuration import Config, NodeConfig, RealtimeConfig, line_of
@@ -97,7 +98,6 @@ class Hosting(OnBus):
         super().__init__(config.bus if words is None else words, config.realtime)
         self.config = config
         self._events = EventLog(verbose)
-        self._looked_s = 0.0
         kept = (one.state_dir for _, _, one in config.nodes if one.state_dir is not None)
         self.diagnosis = SelfDiagnosis(
             config, self.words, self._entered, folder=Path(next(kept, tempfile.gettempdir()))
@@ -137,7 +137,6 @@ class Hosting(OnBus):
         ]
 
     def _meanwhile(self, now: float) -> None:
-        self._looked_s = now
         self._events.tick(now)
         self._alive(now)
         self.diagnosis.step(self._nodes)
@@ -169,7 +168,7 @@ class Hosting(OnBus):
                 f"{title_of(failure.device)}: {failure}; all nodes of the process end"
             ) from failure
         finally:
-            self._events.close(max(self._looked_s, *(device.now for device in self._nodes)))
+            self._events.close(now_s())
             for line in self._at_end():
                 log.info(line)
             self.diagnosis.finish(self._nodes)
