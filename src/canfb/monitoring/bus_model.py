@@ -105,8 +105,6 @@ class BusModel:
         self._only_known = only_known
         self._bit_rate = bit_rate
         self._nodes: dict[int, NodeModel] = {}
-        self._routes: dict[int, list[Take]] = {}
-        self._sync_ids: set[int] = set()
         self._error_frames = 0
         self._now: float | None = None
         self._restart()
@@ -177,7 +175,8 @@ class BusModel:
         return self._nodes[node_id]
 
     def _route(self) -> None:
-        self._routes, self._sync_ids = {}, set()
+        self._routes: dict[int, list[Take]] = {}
+        self._sync_ids: set[int] = set()
         for node in self._nodes.values():
             module = node.module
             if module is None:
