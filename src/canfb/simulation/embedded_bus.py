@@ -280,19 +280,17 @@ class Wire:
         heappush(self._waiting, (frame.can_id, self._numbers, frame, sender))
 
     def advance(self, now: float) -> tuple[Frame, Any] | None:
-        """Begin or end a frame at ``now``; returns the ended frame, with its time stamp, and its sender."""
-        ended = None
-        if self._sending is not None and now >= self._end_s:
+        """End or begin a frame, from ``next_s`` on; returns the ended one, time-stamped, and its sender."""
+        if self._sending is not None:
             _, _, frame, sender = self._sending
-            ended = frame._replace(timestamp=self._end_s), sender
             self._sending = None
-        elif self._sending is None and self._waiting and now >= self._free_s:
-            self._sending = heappop(self._waiting)
-            frame = self._sending[2]
-            bits = frame_bits(0 if frame.rtr else len(frame.data))
-            self._end_s = now + (bits - INTERFRAME_BITS) / self.bit_rate
-            self._free_s = now + bits / self.bit_rate
-        return ended
+            return frame._replace(timestamp=self._end_s), sender
+        self._sending = heappop(self._waiting)
+        frame = self._sending[2]
+        bits = frame_bits(0 if frame.rtr else len(frame.data))
+        self._end_s = now + (bits - INTERFRAME_BITS) / self.bit_rate
+        self._free_s = now + bits / self.bit_rate
+        return None
 
 
 LONGEST_WAIT_S = 1.0

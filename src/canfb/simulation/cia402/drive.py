@@ -209,7 +209,7 @@ class ServoDrive(MachineNode):
         elif after is State.OPERATION_ENABLED:
             self.axis.start()
             self.plant.drive(0.0, True, self.received_s)
-        elif after not in POWERED:
+        else:
             self._power_off()
         self._show()
 

@@ -186,8 +186,6 @@ class Motor:
 def _cubic(before: tuple[float, float, float], after: tuple[float, float, float], at_s: float) -> float:
     (from_s, start, start_rad_s), (to_s, end, end_rad_s) = before, after
     step_s = to_s - from_s
-    if step_s <= 0.0:
-        return end
     part = (at_s - from_s) / step_s
     rest = 1.0 - part
     blend = part * part * (3.0 - 2.0 * part)
@@ -242,7 +240,7 @@ class PlantSource:
     def __init__(self, shaft: ShaftEncoder, plant: Plant) -> None:
         self._shaft, self._plant = shaft, plant
         self._last_s = 0.0
-        self._last_revolutions = plant.motor.revolutions - plant.motor.config.slipped(0.0)
+        self._last_revolutions = plant.motor.revolutions
 
     def sample_at(self, now: float) -> Sample:
         self._plant.go_on_to(now)
