@@ -429,9 +429,9 @@ def step(loop: PositionLoop, demand: Demand, position: float = 0.0, speed: float
 
 
 def test_gains_that_are_0_are_chosen_and_others_are_kept() -> None:
-    chosen = chosen_gains(Gains(0.0, 0.0, 0.0, 1.0, 0.5, 1e-3), 1e-3)
+    chosen = chosen_gains(0.0, 0.0, 0.0, 1.0, 1e4, 0.5, period_s=1e-3)
     assert (chosen.position, chosen.velocity, chosen.integral_s) == pytest.approx((50.0, 0.2, 0.04))
-    assert chosen_gains(GAINS, 5e-3) == GAINS
+    assert chosen_gains(50.0, 0.2, 0.04, 1.0, 1e4, 1.0, period_s=5e-3) == GAINS
 
 
 def test_a_deviation_that_stays_is_integrated_up_to_the_limit() -> None:

@@ -63,16 +63,25 @@ class Gains:
     inertia_kg_m2: float
 
 
-def chosen_gains(gains: Gains, period_s: float) -> Gains:
-    """The gains; zeros are replaced by values from the inertia and the time between two positions."""
-    bandwidth = VELOCITY_BANDWIDTH / period_s
+def chosen_gains(
+    position: float,
+    velocity: float,
+    integral_s: float,
+    velocity_forward: float,
+    inertia_g_cm2: float,
+    acceleration_forward: float,
+    *,
+    period_s: float,
+) -> Gains:
+    """The gains of 2100h; zeros are replaced by values from inertia and time between two positions."""
+    bandwidth, inertia_kg_m2 = VELOCITY_BANDWIDTH / period_s, inertia_g_cm2 * KG_M2_PER_G_CM2
     return Gains(
-        gains.position or POSITION_BANDWIDTH * bandwidth,
-        gains.velocity or gains.inertia_kg_m2 * bandwidth,
-        gains.integral_s or INTEGRAL_PERIODS * period_s,
-        gains.velocity_forward,
-        gains.acceleration_forward,
-        gains.inertia_kg_m2,
+        position or POSITION_BANDWIDTH * bandwidth,
+        velocity or inertia_kg_m2 * bandwidth,
+        integral_s or INTEGRAL_PERIODS * period_s,
+        velocity_forward,
+        acceleration_forward,
+        inertia_kg_m2,
     )
 
 
@@ -224,13 +233,11 @@ class Axis:
 
     def control(self, period_s: float) -> float:
         scaling, feedback = self.scaling, self._feedback
-        position, velocity, integral_s, forward, inertia, acceleration = (one.value for one in self._gains)
-        set_by_hand = Gains(position, velocity, integral_s, forward, acceleration, inertia * KG_M2_PER_G_CM2)
         torque = self._loop.step(
             self._demand,
             feedback.revolutions,
             2.0 * math.pi * feedback.speed,
-            chosen_gains(set_by_hand, period_s),
+            chosen_gains(*(one.value for one in self._gains), period_s=period_s),
             period_s=period_s,
             torque_limit_nm=scaling.largest_torque_nm,
             speed_limit_rad_s=2.0 * math.pi * scaling.largest_speed,
