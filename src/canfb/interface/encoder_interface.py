@@ -281,7 +281,6 @@ class EncoderInterface(MachineNode):
         clock: SampleClock | None = None,
         bit_rates_kbit_s: Collection[int] = (),
     ) -> None:
-        integer_in("serial_number", serial_number, 0, 0xFFFFFFFF)
         dictionary = Dictionary.load(eds_path(EDS), node_id)
         pairs = [(od.INTERFACE_SINE, od.INTERFACE_COSINE), *od.INTERFACE_EARLIER][:samples_per_sync]
         time = [od.INTERFACE_SAMPLE_TIME] if times else []
@@ -310,10 +309,11 @@ class EncoderInterface(MachineNode):
         )
         self.samples = 0  # Samples sent.
         self.missed = 0  # SYNCs in OPERATIONAL without a sample, before the end of the source.
-        tpdos = numbers(self.dictionary, Direction.TRANSMIT)
         entry, parameters = self.dictionary.entry, COMMUNICATION[Direction.TRANSMIT] - 1
         self._entries = {place: entry(*place) for place in SAMPLE_OBJECTS}
-        self._types = {number: entry(parameters + number, 2) for number in tpdos}
+        self._types = {
+            number: entry(parameters + number, 2) for number in numbers(self.dictionary, Direction.TRANSMIT)
+        }
 
     @property
     def ended(self) -> bool:
