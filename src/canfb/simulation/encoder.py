@@ -306,7 +306,7 @@ class Motion:
         return sum((ripple.swing(time_s) for ripple in self.ripples), 0.0)
 
 
-class SCurve:
+class SCurve(Motion):
     """Position over time: at rest until ``start_s``, then to ``speed_rad_s`` at ``end_s`` with limited jerk.
 
     ValueError unless all are 1e-9..1e12, and the speed suffices to reach the acceleration.
@@ -327,17 +327,13 @@ class SCurve:
         if level_s < 0.0:
             raise ValueError(f"speed_rad_s is too low to reach {acceleration_rad_s2:g} rad/s^2")
         speed, acceleration, jerk = (value / (2.0 * math.pi) for value in move.values())
+        super().__init__(())
         self.end_s = start_s + 2.0 * rise_s + level_s
-        curve = PiecewiseCubic()
+        curve = self._curve
         curve.go_on(start_s, jerk=jerk)
         curve.go_on(start_s + rise_s, acceleration=acceleration)
         curve.go_on(start_s + rise_s + level_s, acceleration=acceleration, jerk=-jerk)
         curve.go_on(self.end_s, speed)
-        self.revolutions_at = curve.at
-        self._curve = curve
-
-    def revolutions(self, time_s: float) -> float:
-        return self._curve.state(time_s)[0]
 
 
 class StoppableMotion:
