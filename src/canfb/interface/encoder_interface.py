@@ -14,8 +14,7 @@ import numpy.typing as npt
 from canfb import objects as od
 from canfb.checks import integer_in, number_in, within
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
-from canfb.cia301.frame import Frame
-from canfb.device.core import FOLLOWED, IGNORED, NEVER, HeldRpdo
+from canfb.device.core import FOLLOWED, IGNORED, HeldRpdo
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.node import NodeDevice
 from canfb.device.od.dictionary import Dictionary, refuse_if
@@ -26,19 +25,9 @@ from canfb.signal.sample import MOST_PER_SYNC, TICKS, Sample
 from canfb.sources.protocol import Grouped, Machine, Source, SourceConfig, SourceWatch
 from canfb.timing.grid import TOGETHER, Grid
 
-OLDEST_S = 10.0
-
 
 class TimeBase:
     """The time of the machine as seen by a node: the true time; a simulated machine may have its own."""
-
-    def received_at(self, frame: Frame, now: float) -> float:
-        """The time of the machine, seconds, at which ``frame`` was received; it is handled at ``now``.
-
-        A time stamp later than ``now``, or 10 s before it, is of another clock and not used.
-        """
-        stamp = frame.timestamp
-        return self.at(now if stamp is None or not now - OLDEST_S <= stamp <= now else stamp)
 
     def at(self, now: float) -> float:
         """The time of the machine, seconds, at ``now``."""
@@ -136,30 +125,17 @@ def _together(samples: list[Sample | None], passed_s: list[float] | None) -> Sam
 
 
 class MachineNode(NodeDevice):
-    """A node on a machine; ``received_s``: receive time of the present frame, time of the machine."""
+    """A node on a machine, whose time ``time_base`` gives."""
 
     time_base = TimeBase()
-    received_s = 0.0
 
     def machine_now(self) -> float:
         return self.time_base.at(self.now)
 
-    def start(self, now: float) -> list[Frame]:
-        self.received_s = self.time_base.at(now)
-        return super().start(now)
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        self.call.now = now
-        self.received_s = self.time_base.received_at(frame, now)
-        self.overhear(frame)
-        return super().receive(frame, now)
-
-    def tick(self, now: float, until: float = NEVER) -> list[Frame]:
-        self.received_s = self.time_base.at(now)
-        return super().tick(now, until)
-
-    def overhear(self, frame: Frame) -> None:
-        """Called with each frame before it is processed."""
+    @property
+    def received_s(self) -> float:
+        """Receive time of the present frame, time of the machine."""
+        return self.time_base.at(self.call.received)
 
 
 BLOCK_SAMPLES = 1 << 16

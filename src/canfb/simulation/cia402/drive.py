@@ -104,7 +104,12 @@ class ServoDrive(MachineNode):
         emergency = self._emergency_id.value
         return CanIds(data | {emergency & cob.CAN_ID, cob.ERROR_CONTROL + (emergency & cob.NODE_ID)}, remote)
 
-    def overhear(self, frame: Frame) -> None:
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        answers = super().receive(frame, now)
+        self._overhear(frame)
+        return answers + self._sent()
+
+    def _overhear(self, frame: Frame) -> None:
         cob_id = self._emergency_id.value
         if frame.rtr or not cob.is_valid(cob_id) or self.state is NmtState.STOPPED:
             return

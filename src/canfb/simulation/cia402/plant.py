@@ -209,7 +209,7 @@ class Plant(SimulatedDevice):
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Advance to the receive time of a SYNC; the first one starts the machine."""
         if is_sync(frame, self.sync_cob_id()):
-            received_s = self.time_base.received_at(frame, now)
+            received_s = self.time_base.at(now if frame.timestamp is None else frame.timestamp)
             if self._now_s is None:
                 self._now_s = received_s
             self.go_on_to(received_s)
