@@ -11,7 +11,6 @@ from canfb.cia301.codes import ErrorRegister, NmtState
 from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER, CanIds
 from canfb.device.od.dictionary import Dictionary, refuse_if
-from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import MachineNode
 from canfb.module.module_config import ModuleConfig
@@ -258,12 +257,6 @@ class ServoDrive(MachineNode):
 
     def configuration_changed(self) -> None:
         self._rpdo = self.rpdo_with(POSITION)
-        self._events = [
-            number
-            for number in range(1, 5)
-            if cob.is_valid(self.dictionary.entry(0x17FF + number, 1).value)
-            and self.dictionary.entry(0x17FF + number, 2).value in EVENT_DRIVEN | {0}
-        ]
 
     def _show(self) -> None:
         before = self._statusword.value
@@ -275,7 +268,7 @@ class ServoDrive(MachineNode):
         self._statusword.value = int(word)
         self._torque.value = self.axis.scaling.per_mille(self.plant.motor.torque_nm)
         if mode_changed or before != self._statusword.value:
-            for number in self._events:
+            for number in range(1, 5):
                 self.trigger_tpdo(number, self.now)
 
 
