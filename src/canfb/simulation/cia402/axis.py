@@ -190,7 +190,7 @@ class Axis:
 
     @property
     def stands_still(self) -> bool:
-        return self.ramp_is_over and abs(self._feedback.speed) < STANDSTILL_REV_S
+        return abs(self._feedback.speed) < STANDSTILL_REV_S
 
     @property
     def ramp_is_over(self) -> bool:

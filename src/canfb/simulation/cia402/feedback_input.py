@@ -121,7 +121,7 @@ class FeedbackInput:
         else:
             step = (raw - self._last + full // 2) % full - full // 2
         bound = self._bound(largest_speed, interval_s) * max(1, self._open)
-        too_far = known and bound > 0 and abs(step) > bound
+        too_far = 0.0 < bound < abs(step)
         if known and self._open == 0:
             if not too_far:  # more positions than SYNCs, or the last one was assigned to a later SYNC
                 self.position += step

@@ -75,8 +75,7 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
     (State.OPERATION_ENABLED, Command.QUICK_STOP): State.QUICK_STOP_ACTIVE,  # 11
     (State.QUICK_STOP_ACTIVE, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 12
     (State.QUICK_STOP_ACTIVE, Command.RAMP_DONE): State.SWITCH_ON_DISABLED,  # 12
-    **{(state, Command.FAIL): State.FAULT_REACTION_ACTIVE for state in State},  # 13, except the next two
-    (State.FAULT_REACTION_ACTIVE, Command.FAIL): State.FAULT_REACTION_ACTIVE,
+    **{(state, Command.FAIL): State.FAULT_REACTION_ACTIVE for state in State},  # 13, except the next
     (State.FAULT, Command.FAIL): State.FAULT,
     (State.FAULT_REACTION_ACTIVE, Command.RAMP_DONE): State.FAULT,  # 14
     (State.FAULT, Command.FAULT_RESET): State.SWITCH_ON_DISABLED,  # 15, when the error is gone
