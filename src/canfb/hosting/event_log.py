@@ -14,7 +14,7 @@ from canfb.bus.clocks import local_time
 from canfb.cia301.datatypes import encode
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.node import NodeDevice
-from canfb.module.events import DETAILS, Event, NodeEvents
+from canfb.module.events import Event, NodeEvents
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.parameters import configured_defaults
 
@@ -55,9 +55,8 @@ class Throttle:
                 held = window.count - BURST
                 if held > 0:
                     found.append((held, now - window.began_s, window.last))
-                    if not closing:
-                        length_s = min(2.0 * window.length_s, LONGEST_WINDOW_S)
-                        self._windows[key] = _Window(now, length_s, BURST)
+                    length_s = min(2.0 * window.length_s, LONGEST_WINDOW_S)
+                    self._windows[key] = _Window(now, length_s, BURST)
         return found
 
 
@@ -167,8 +166,6 @@ class EventLog:
         self.begin()
 
     def _take(self, device: NodeDevice, event: Event) -> None:
-        if event.kind in DETAILS and not self._verbose:
-            return
         self._note_held(self._throttle.ended(event.time_s))
         if self._throttle.admits((id(device), event.kind), (device, event), event.time_s):
             self._note(device, event, event.text, {})

@@ -34,12 +34,8 @@ class EventKind(StrEnum):
     TABLE = "table"
     SAVED = "saved"
     SAVE_FAILED = "save_failed"
-    FAULT = "fault"
-    EMCY = "emcy"
-
-
-# Events of single samples, and those that repeat another event.
-DETAILS = frozenset({EventKind.FAULT, EventKind.EMCY})
+    FAULT = "fault"  # of a single sample, if detailed
+    EMCY = "emcy"  # repeats another event, if detailed
 
 
 @dataclass(frozen=True, slots=True)
