@@ -286,7 +286,7 @@ class DriveError(IntEnum):
 
 def _defaults(config: DriveConfig, module: ModuleConfig | None) -> Values:
     defaults: Values = {
-        (0x6076, 0): max(1, min(U32, round(config.rated_torque_nm * 1000))),
+        (0x6076, 0): round(config.rated_torque_nm * 1000),
         (0x2100, 5): max(1, min(U32, round(config.inertia_kg_m2 * G_CM2_PER_KG_M2))),
     }
     if module is not None:
