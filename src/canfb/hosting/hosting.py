@@ -124,7 +124,7 @@ class Hosting(OnBus):
         lists += [f"encoder interface: node {interfaces}"] * bool(interfaces)
         saved = [line for module, name in named for line in what_is_saved(module, name)]
         said = f"{', '.join(lists)} on {describe(self.words)}; end with Ctrl-C"
-        return [said, *saved, *(speeds_of(named) if named else [])]
+        return [said, *saved, *speeds_of(named)]
 
     def _at_end(self) -> list[str]:
         return [
