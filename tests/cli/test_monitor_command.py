@@ -11,7 +11,6 @@ from pathlib import Path
 import can
 import pytest
 
-from canfb.cia301.frame import Frame
 from canfb.configuration import Config
 from canfb.hosting.trying import NetworkOnBus
 from canfb.module.module_config import ModuleConfig
@@ -217,8 +216,9 @@ def test_on_a_bus_the_modules_are_asked_for_their_mapping(command: Command) -> N
         (0x23, 0x1802, 1, 0x3A0),
     ]
     config = Config({"interface": "virtual", "channel": "dump-x"}, [ModuleConfig(node_id=32, autostart=True)])
-    first = [Frame(0x620, download(*one)) for one in mapped]
-    with NetworkOnBus(config, 200.0, first=first) as demo:
+    with NetworkOnBus(config, 200.0) as demo, can.Bus(**config.bus) as master:
+        for one in mapped:
+            master.send(message(0x620, download(*one)))
         out = command("monitor --frames -i virtual --seconds 0.3 -c", demo.config.bus["channel"]).out
     assert "TPDO3 of 32: velocity " in out
     assert "RPDO1 of 32: sine " in out

@@ -49,7 +49,7 @@ def test_private_buses_side_by_side_are_different_until_none_is_left(monkeypatch
 
 def test_a_master_has_started_it_and_others_talk_to_it(multicast_bus: can.BusABC) -> None:
     with private_bus() as words, open_bus(words) as listener:
-        with NetworkOnBus(example(words), 100.0, first=[START_ALL]) as network:
+        with NetworkOnBus(example(words), 100.0) as network:
             wait_for(listener, NMT, bytes(START_ALL.data))
             while not wait_for(listener, cob.TPDO1 + NODE).data[4] & StatusBit.VALID:
                 pass  # the first samples confirm the start

@@ -31,7 +31,7 @@ from canfb.configuration import load_config
 from canfb.files import check_writable, prepare_folder, write_whole
 from canfb.hosting.event_log import summary_of
 from canfb.hosting.readiness import Readiness
-from canfb.hosting.trying import START_ALL, NetworkOnBus, private_bus
+from canfb.hosting.trying import NetworkOnBus, private_bus
 from canfb.rows import those
 
 # At lower rates the machine of the example accelerates too much between SYNCs.
@@ -94,7 +94,7 @@ def try_it(options: argparse.Namespace) -> int:
         if options.write_config is not None:
             check_writable(options.write_config, "--write-config")
             write_whole(options.write_config, path.read_bytes())
-        with NetworkOnBus(jittered(load_config(path), options), options.rate, first=[START_ALL]) as network:
+        with NetworkOnBus(jittered(load_config(path), options), options.rate) as network:
             _serve(options, network, path)
     summary = summary_of(network.module)
     say(json.dumps({"event": "end", "text": summary}) if options.json else summary)

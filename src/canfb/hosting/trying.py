@@ -11,7 +11,7 @@ import tempfile
 import threading
 import time
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, Self
 
@@ -58,14 +58,13 @@ def private_bus() -> Iterator[dict[str, Any]]:
 class NetworkOnBus:
     """The first module of ``config``, its encoder interface and the SYNC at ``rate_hz``, in a thread.
 
-    ``first``: frames of a master at the start. Saved parameters are removed at the end. CanfbError if the
-    bus fails.
+    A master starts them. Saved parameters are removed at the end. CanfbError if the bus fails.
     """
 
-    def __init__(self, config: Config, rate_hz: float, *, first: Sequence[Frame] = ()) -> None:
+    def __init__(self, config: Config, rate_hz: float) -> None:
         self.config = config
         self.on_end: Callable[[], None] = lambda: None
-        self._first, self._events = first, EventLog()
+        self._events = EventLog()
         self._rate_hz = rate_hz
         self._network = EmbeddedBus()
         self._received: Frame | None = None
@@ -79,15 +78,14 @@ class NetworkOnBus:
             self.config = replace(self.config, modules=[module])
             self.module = make_module(module, held, self.config.bus)
             self._bus = held.enter_context(open_device_bus(self.config.bus))
-            play = Play(rate_hz=self._rate_hz, autostart=module.autostart)
+            play = Play(rate_hz=self._rate_hz)
             simulated = set_up(self.config.simulation, module, play, log.warning)
             events.watch(self.module, self.module.events)
             held.callback(lambda: events.close(network.now))
             network.observers.append(self._send)
             for device in (*simulated.devices, self.module):
                 network.attach(device)
-            for frame in self._first:
-                network.send(frame)
+            network.send(START_ALL)
             events.begin()
             held.enter_context(beside(self._run, self.stop, self._failed))
             self._held = held.pop_all()
