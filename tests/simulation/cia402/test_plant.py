@@ -488,8 +488,9 @@ T = 1e-3
 @pytest.mark.parametrize("speed", [-100.0, 100.0, 0.05])
 def test_a_ramp_takes_the_way_of_its_deceleration(speed: float) -> None:
     trajectory = Trajectory(0.0, speed)
-    count = 1
-    while not trajectory.brake(1000.0, T):
+    count = 0
+    while trajectory.speed:
+        trajectory.brake(1000.0, T)
         count += 1
     assert trajectory.position == pytest.approx(math.copysign(speed * speed / 2000.0, speed), rel=1e-6)
     assert count == pytest.approx(abs(speed) / 1000.0 / T, abs=1)

@@ -34,7 +34,7 @@ class Trajectory:
             self._left -= 1
         self.speed = (self.position - before) / period_s
 
-    def brake(self, deceleration: float, period_s: float) -> bool:
+    def brake(self, deceleration: float, period_s: float) -> None:
         before = self.speed
         self.speed = math.copysign(max(0.0, abs(before) - deceleration * period_s), before)
         if self.speed == 0.0:
@@ -42,7 +42,6 @@ class Trajectory:
             self.position += before * abs(before) / (2.0 * deceleration) if deceleration > 0.0 else 0.0
         else:
             self.position += (before + self.speed) / 2.0 * period_s
-        return self.speed == 0.0
 
 
 VELOCITY_BANDWIDTH = 0.2  # times 1 / period, limited by the delays of sampling, torque and differentiation
