@@ -7,7 +7,6 @@ Every message names the file, the line and the key::
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import re
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from canfb.checks import within
-from canfb.errors import LONGEST_REASON, ConfigError
+from canfb.errors import LONGEST_REASON, ConfigError, meant
 from canfb.files import read_bytes
 from canfb.interface.encoder_interface import InterfaceConfig
 from canfb.marked_yaml import YamlError, compose, construct, found_at, line_of as yaml_line, pairs
@@ -201,9 +200,7 @@ GONE = dict.fromkeys(
 def _unknown(key: str, known: list[str], where: str) -> str:
     if key in GONE:
         return f"{key!r} in {where} is not a key: {GONE[key]}"
-    near = difflib.get_close_matches(key, known, n=1)
-    hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
-    return f"unknown key {key!r} in {where}; {hint}"
+    return f"unknown key {key!r} in {where}; {meant(key, known)}"
 
 
 class _Reader:

@@ -12,7 +12,7 @@ CanfbError
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 LONGEST_REASON = 300  # Characters: the messages of others quote what they were given, of any length.
@@ -59,3 +59,11 @@ def reason(error: Exception) -> str:
         return error.strerror
     text = str(error).strip().splitlines()
     return text[0][:LONGEST_REASON] if text else type(error).__name__
+
+
+def meant(word: str, known: Sequence[str]) -> str:
+    """Which of the ``known`` words an unknown ``word`` may mean; else all of them."""
+    import difflib  # here: only a wrong word needs it
+
+    near = difflib.get_close_matches(word, known, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import contextlib
-import difflib
 import errno
 import ipaddress
 import re
@@ -21,7 +20,7 @@ from can.interfaces import BACKENDS
 from can.interfaces.udp_multicast import UdpMulticastBus
 
 from canfb.bus.frame_bus import MULTICAST as MULTICAST, FrameBus, PythonCanBus, enlarge_queue_of
-from canfb.errors import BusError, ConfigError, reason
+from canfb.errors import BusError, ConfigError, meant, reason
 
 # The only key in ``bus:`` that is not an option of python-can: true: use python-can for SocketCAN, too.
 FORCE_PYTHON_CAN = "python_can"
@@ -195,7 +194,7 @@ def check_words(words: Mapping[str, Any]) -> None:
     interface = words.get("interface")
     if interface is not None and (not isinstance(interface, str) or interface not in can.VALID_INTERFACES):
         known = sorted(can.VALID_INTERFACES)
-        raise ConfigError(f"unknown interface {interface!r} in bus; {_hint(str(interface), known)}")
+        raise ConfigError(f"unknown interface {interface!r} in bus; {meant(str(interface), known)}")
     for key in ("bitrate", "data_bitrate"):
         value = words.get(key)
         if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value < 10_000):
@@ -206,12 +205,7 @@ def check_words(words: Mapping[str, Any]) -> None:
     for key in words:
         if mentioned and key not in _GENERAL | named | mentioned:
             known = sorted({"interface", "channel", "bitrate", *named})
-            raise ConfigError(f"unknown key {key!r} in bus for {interface}; {_hint(key, known)}")
-
-
-def _hint(word: str, known: list[str]) -> str:
-    near = difflib.get_close_matches(word, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+            raise ConfigError(f"unknown key {key!r} in bus for {interface}; {meant(key, known)}")
 
 
 @cache

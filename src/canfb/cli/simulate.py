@@ -172,6 +172,5 @@ def check_record(name: str, samples: str | None = None) -> Path:
 
 
 def write_record(path: Path, recorder: SampleRecorder, rate_hz: float) -> None:
-    samples = TrackSamples.of(*recorder.tracks(), rate_hz, "canfb simulate --record")
     with writing(path, "--record"):
-        WRITERS[path.suffix](path, samples)
+        WRITERS[path.suffix](path, TrackSamples.of(*recorder.tracks(), rate_hz, "canfb simulate --record"))
