@@ -134,12 +134,11 @@ class PathFit:
     corners: Corners
     low_pass: LowPass
 
-    def turned_rad(self, hertz: ArrayLike) -> FloatArray:
-        f = np.asarray(hertz, np.float64)
+    def turned_rad(self, hertz: FloatArray | float) -> FloatArray:
         return np.asarray(
-            2.0 * math.pi * f * self.cosine_delay_s
-            + np.angle(response(f, self.corners.of_cosine_hz))
-            - np.angle(response(f, self.corners.corner_hz)),
+            2.0 * math.pi * hertz * self.cosine_delay_s
+            + np.angle(response(hertz, self.corners.of_cosine_hz))
+            - np.angle(response(hertz, self.corners.corner_hz)),
             np.float64,
         )
 
