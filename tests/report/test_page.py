@@ -148,7 +148,7 @@ def test_pictures_of_nothing_and_of_perfection() -> None:
         lissajous(nothing, nothing, IDENTITY, LIMITS),
         lissajous(*tracks, IDENTITY, None),
         pictures.harmonics(flat, flat, 0.0, 1),
-        pictures.error_over_phase(flat, np.full(64, np.nan), "x"),
+        pictures.error_over_phase(flat, np.full(64, np.nan)),
         pictures.remaining_error(flat, 0.0),
         pictures.coverage(np.zeros(64, np.int64)),
     ):

@@ -206,7 +206,7 @@ def _pictures(measured: Measurement, done: Installation) -> list[str]:
         figure(
             "Error over the phase",
             "mean in each 1/64 cycle, before and after",
-            pictures.error_over_phase(before, after, "Mean error over the phase, before and after"),
+            pictures.error_over_phase(before, after),
         ),
         figure(
             "Remaining error",

@@ -20,9 +20,9 @@ ERROR_LABELS = "phase, cycles", "error, % of a cycle"
 CYCLE = 0.0, 1.0
 
 
-def error_over_phase(before: FloatArray, after: FloatArray, title: str) -> str:
+def error_over_phase(before: FloatArray, after: FloatArray) -> str:
     most = PERCENT * nice_limit(np.concatenate([before, after]))
-    plot = Plot(title, CYCLE, (-most, most), ERROR_LABELS)
+    plot = Plot("Mean error over the phase, before and after", CYCLE, (-most, most), ERROR_LABELS)
     plot.line(PHASES, PERCENT * before, "before", "before")
     return plot.line(PHASES, PERCENT * after, "after", "after").svg()
 
