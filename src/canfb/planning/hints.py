@@ -77,8 +77,10 @@ def _of_the_bus(plan: Plan) -> Ways:
         yield f"lower the SYNC rate to {rate_hz:g} Hz", replace(plan, sync_hz=rate_hz)
     all_of_them = len(plan.modules)
     for count in range(all_of_them - 1, 0, -1):
-        text = f"{count} of the {all_of_them} modules fit on this bus: give the others a second one"
-        yield text, replace(plan, modules=plan.modules[:count])
+        yield (
+            f"{count} of the {all_of_them} modules fit on this bus: give the others a second one",
+            replace(plan, modules=plan.modules[:count]),
+        )
     yield "other nodes leave no room: move them to another bus", replace(plan, extra_load=0.0)
 
 
@@ -94,8 +96,10 @@ def _of_the_motion(plan: Plan) -> Ways:
     asked = asked_acceleration(plan)
     yield from _times(plan)
     if any(0.0 < one.settings.acceleration_rad_s2 < asked for one in plan.modules):
-        text = f"set max_acceleration_rad_s2 (2010:02) to {asked:.7g}, which is what the motion needs"
-        yield text, _with(plan, od.SUPERVISION_ACCELERATION, asked)
+        yield (
+            f"set max_acceleration_rad_s2 (2010:02) to {asked:.7g}, which is what the motion needs",
+            _with(plan, od.SUPERVISION_ACCELERATION, asked),
+        )
     limit = _needed_limit(plan)
     if min(one.settings.widest_cycles for one in plan.modules) < limit <= RESIDUAL_LIMIT:
         yield f"raise residual_limit (2010:01) to {limit:.3f} cycle", _limited(plan, limit)
@@ -104,10 +108,14 @@ def _of_the_motion(plan: Plan) -> Ways:
     yield from _more_samples(plan)
     most = _as_shown(min(one.largest_acceleration_rad_s2 for one in plan.budgets))
     if 0.0 < most < asked:
-        gentler = replace(plan, acceleration_rad_s2=most, is_final=True)
-        yield f"accelerate by {most:.15g} rad/s^2 at most", gentler
-    quiet = replace(plan, noise_counts=0.0)
-    yield "average the tracks, or raise their amplitude: their noise alone exceeds the limit", quiet
+        yield (
+            f"accelerate by {most:.15g} rad/s^2 at most",
+            replace(plan, acceleration_rad_s2=most, is_final=True),
+        )
+    yield (
+        "average the tracks, or raise their amplitude: their noise alone exceeds the limit",
+        replace(plan, noise_counts=0.0),
+    )
 
 
 def _times(plan: Plan) -> Ways:

@@ -264,7 +264,6 @@ def _motion_rows(budget: ResidualBudget) -> list[Row]:
 
 def _detection_rows(budget: ResidualBudget) -> list[Row]:
     found, module = budget.detection(), budget.module
-    needed = budget.detection(min(budget.needed_cycles, 0.5))
     equal, sample = module.settings.frozen_samples, module.settings.sample
     frozen = f"after {equal} equal samples" if equal else "not checked"
     half = "always" if found.half_cycle else "not always"
@@ -280,7 +279,7 @@ def _detection_rows(budget: ResidualBudget) -> list[Row]:
             f"L + a = {found.limit_cycles + found.motion_cycles:.3f} cycle, "
             + ("at most 1/6: sharp" if found.is_sharp else "above 1/6: weak"),
             detection=_detection(found),
-            detection_at_needed_limit=_detection(needed),
+            detection_at_needed_limit=_detection(budget.detection(min(budget.needed_cycles, 0.5))),
         ),
         Row("", f"bad samples in a row that cannot change the count unseen: {found.bad_samples}"),
         *(Row("", words) for words in _kept_words(found, budget)),
@@ -325,11 +324,10 @@ def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
         followed = f"2010:02 not set, {declared.followed:.3g} cycle per interval² assumed, {source}"
     kept, moves = found.missed_samples, found.motion_cycles > 0.0
     with_motion = found.kept_with(acceleration=found.motion_cycles) if moves and known is None else kept
-    smaller = min(declared.phase_error, CALIBRATED_PHASE_ERROR_CYCLES)
     others = {
         "2010:02 for the motion of this plan": with_motion,
         f"a phase error of {CALIBRATED_PHASE_ERROR_CYCLES:g}, as after canfb calibrate": found.kept_with(
-            phase_error=smaller
+            phase_error=min(declared.phase_error, CALIBRATED_PHASE_ERROR_CYCLES)
         ),
         "a larger 2010:03": found.kept_with(coast_samples=MOST_IN_A_ROW),
     }

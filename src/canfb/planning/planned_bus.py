@@ -226,8 +226,11 @@ TIME = od.SAMPLE_TIME.mapped(32)
 
 
 def _of_samples(values: Values) -> list[Pdo]:
-    pdos = valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)
-    return [pdo for pdo in pdos if pdo.carries(od.SAMPLE_SINE.object_index)]
+    return [
+        pdo
+        for pdo in valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)
+        if pdo.carries(od.SAMPLE_SINE.object_index)
+    ]
 
 
 def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
