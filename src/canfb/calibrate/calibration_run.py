@@ -101,8 +101,9 @@ class CalibrationRun:
         choices, settings = self._choices, self._choices.settings(None)
         before = read_table(choices.table).used if choices.table else NO_CORRECTION
         if choices.speeds is not None:
-            each = choices.samples_of_folder(path)
-            return self._report(self._measured_speeds(each, settings, InForce(before)))
+            return self._report(
+                self._measured_speeds(choices.samples_of_folder(path), settings, InForce(before))
+            )
         return self._report(self._measured(choices.samples_of_file(path), before, settings))
 
     def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
