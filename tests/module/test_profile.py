@@ -285,6 +285,7 @@ def test_speed_and_acceleration_are_scaled_and_saturated(
 @pytest.mark.parametrize(("value", "object_value"), [
     (32767.4, 32767), (32767.6, 32767), (1e300, 32767), (float("inf"), 32767), (-32768.4, -32768),
     (-1e300, -32768), (float("-inf"), -32768), (float("nan"), 0), (-0.4, 0), (1.6, 2),
+    (1.4, 1), (-1.6, -2), (40000.0, 32767), (-1e99, -32768),
 ])  # fmt: skip
 def test_saturation(value: float, object_value: int) -> None:
     assert saturated(value) == object_value

@@ -19,7 +19,6 @@ from canfb.simulation.cia402.axis import (
     approach,
     chosen_gains,
     nearest,
-    saturated,
     wrapped,
 )
 from canfb.simulation.cia402.drive import ServoDrive
@@ -473,13 +472,6 @@ def test_the_nearest_of_all_positions_that_show_alike(target: int, reference: in
     place = nearest(target, reference)
     assert wrapped(place) == target
     assert abs(place - reference) <= 1 << 31
-
-
-@each("value, shown", [
-    (1.4, 1), (-1.6, -2), (40000.0, 32767), (-1e99, -32768), (float("inf"), 32767), (float("nan"), 0),
-])  # fmt: skip
-def test_what_does_not_fit_is_saturated(value: float, shown: int) -> None:
-    assert saturated(value, 16) == shown
 
 
 T = 1e-3

@@ -87,12 +87,12 @@ class PositionScale:
 SPEED, ACCELERATION = 0x6030, 0x6040
 CHANNEL = 1
 STILL = Feedback(0.0, 0.0, 0.0, math.nan, 0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0)  # before the first sample
-LOWEST, HIGHEST = -0x8000, 0x7FFF
 
 
-def saturated(value: float) -> int:
-    """The nearest INTEGER16; 0 for NaN."""
-    return 0 if math.isnan(value) else round(max(float(LOWEST), min(value, float(HIGHEST))))
+def saturated(value: float, bits: int = 16) -> int:
+    """The nearest signed integer of this many bits; 0 for NaN."""
+    highest = (1 << bits - 1) - 1
+    return 0 if math.isnan(value) else round(max(-highest - 1, min(value, highest)))
 
 
 def show_motion(

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from canfb.device.od.dictionary import Dictionary, refuse_if
+from canfb.module.cia406.position import saturated
 from canfb.simulation.cia402.feedback_input import FeedbackInput
 from canfb.simulation.cia402.state_machine import Status
 
@@ -326,14 +327,6 @@ _HALF, _FULL = 1 << 31, 1 << 32
 def wrapped(value: int) -> int:
     """``value`` modulo 2^32, as INTEGER32."""
     return (value + _HALF) % _FULL - _HALF
-
-
-def saturated(value: float, bits: int) -> int:
-    """The nearest signed integer of this many bits; 0 for NaN."""
-    if math.isnan(value):
-        return 0
-    highest = (1 << (bits - 1)) - 1
-    return round(max(-highest - 1, min(highest, value)))
 
 
 def nearest(target: int, reference: float) -> int:

@@ -13,9 +13,10 @@ from canfb.device.core import NEVER, CanIds
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import MachineNode
+from canfb.module.cia406.position import saturated
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import Values, apply_defaults, configured_defaults
-from canfb.simulation.cia402.axis import Axis, saturated
+from canfb.simulation.cia402.axis import Axis
 from canfb.simulation.cia402.feedback_input import FeedbackInput, SyncInterval, Wrong
 from canfb.simulation.cia402.plant import DriveConfig, Plant
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, Command, State, StateMachine, Status
