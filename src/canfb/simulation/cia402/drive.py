@@ -13,7 +13,7 @@ from canfb.device.core import NEVER, CanIds
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import MachineNode
-from canfb.module.cia406.position import saturated
+from canfb.module.cia406.position import U32, saturated
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import Values, apply_defaults, configured_defaults
 from canfb.simulation.cia402.axis import Axis
@@ -25,7 +25,6 @@ EDS = "drive"
 POSITION = (0x60E4, 1)
 COAST, QUICK_STOP_RAMP = 0, 2  # 605Eh
 ABORT_CONNECTION = {1: Command.FAIL, 2: Command.DISABLE_VOLTAGE, 3: Command.QUICK_STOP}  # 6007h
-U32 = 0xFFFFFFFF
 G_CM2_PER_KG_M2 = 1e7
 STOP_TIMEOUT_S = 0.5  # Time for the shaft to come to rest after a ramp; then the power is switched off.
 
