@@ -185,10 +185,10 @@ def test_the_sample_time_is_that_of_the_reception_by_the_clock_of_the_bus() -> N
     """Whenever the program comes round to the SYNC; a stamp of some other clock is not used."""
     interface = operational(repeated(FULL), times=True)
     stamps = [
-        struct.unpack_from("<I", interface.receive(SYNC._replace(timestamp=stamp), 2.0)[0].data, 4)[0]
-        for stamp in (1.9995, None, 2.1, 1.7e9, -20.0)
+        struct.unpack_from("<I", interface.receive(SYNC._replace(timestamp=stamp), now)[0].data, 4)[0]
+        for stamp, now in ((1.9995, 2.0), (None, 2.0), (2.1, 2.0), (1.7e9, 2.0), (-20.0, 2.0), (2.5, 20.0))
     ]
-    assert stamps == [19_995_000, 20_000_000, 20_000_000, 20_000_000, 20_000_000]
+    assert stamps == [19_995_000, 20_000_000, 20_000_000, 20_000_000, 20_000_000, 25_000_000]
 
 
 def test_tpdo2_holds_coarse_track_flags_and_zero_pulse() -> None:
