@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from canfb.cia301.frame import Frame
+from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.storage.storage import Store
 from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import put_in_force
 from canfb.master.samples import TrackSamples
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.simulation.embedded_bus import REGULAR, EmbeddedBus, SyncProducer, SyncTiming
 from canfb.simulation.encoder import Encoder, Harmonic, Motion, MotionSource, Ripple, ShaftEncoder

@@ -5,9 +5,7 @@ import struct
 
 import numpy as np
 
-from canfb.cia301.frame import Frame
-from canfb.signal.correction import CorrectionTable
-from canfb.signal.sample import Feedback
+from canfb import CorrectionTable, Feedback, Frame
 from canfb.signal.stages import Stages
 
 

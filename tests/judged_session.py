@@ -10,11 +10,10 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from canfb.cia301.frame import Frame
+from canfb import Frame, StatusBit
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import Config, parse_config
 from canfb.module.parameters import configured_defaults
-from canfb.objects import StatusBit
 
 TICK_S = 1e-7  # of 2000:05
 MOST_WRONG_CYCLES = 0.5

@@ -9,13 +9,11 @@ from typing import Any
 import can
 
 import canfb
-from canfb.cia301.frame import Frame
-from canfb.configuration import Config
+from canfb import Config, Frame, Sample
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import known_layouts
 from canfb.monitoring.snapshot import ModuleSnapshot
-from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer
 from canfb.simulation.encoder import Motion, MotionSource, Ramp, ShaftEncoder, demo_encoder
 from canfb.simulation.scenario import SimulationConfig

@@ -5,9 +5,8 @@ import itertools
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from canfb.cia301.frame import Frame
+from canfb import Frame, Sample
 from canfb.device.core import NEVER
-from canfb.signal.sample import Sample
 from canfb.sources.protocol import Source, SourceEnded
 
 

@@ -8,12 +8,10 @@ from typing import Any
 
 import can
 
+from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.bus.frame_bus import PythonCanBus
 from canfb.bus.runner import Runner
-from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.replay.module_replay import ModuleReplay
 from fake_bus import FakeBus, FakeClock, message
 from ideal_tracks import adc_pdo

@@ -8,9 +8,8 @@ import yaml
 from hypothesis import given, strategies as st
 
 import canfb
+from canfb import Conditioning, ConfigError
 from canfb.configuration import Config, RealtimeConfig, parse_config
-from canfb.errors import ConfigError
-from canfb.signal.conditioning import Conditioning
 from canfb.simulation.encoder import Ramp, Ripple
 from canfb.simulation.scenario import HarmonicConfig
 from drawing import examples

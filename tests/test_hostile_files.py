@@ -7,16 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canfb import CanfbError, Conditioning, ConfigError, ModuleConfig, eds_path
 from canfb.configuration import changed_module, parse_config
 from canfb.device.od.dictionary import Dictionary
-from canfb.eds_files import eds_path
-from canfb.errors import CanfbError, ConfigError
 from canfb.master.samples import read_npz
-from canfb.module.module_config import ModuleConfig
 from canfb.sdo.backups import read_backup
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.tables import as_yaml, read_table
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.sources import sample_files
 from canfb.sources.recording_source import RecordingLayout, open_recording

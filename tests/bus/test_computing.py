@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 from computing_jobs import add, crash, fail, never_end, tell_of_the_process
 
+from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.bus.computing import Computation
 from canfb.bus.runner import Runner
-from canfb.cia301.frame import Frame
 from canfb.device.node import Computing
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import CalibrationJob, Outcome
 from canfb.signal.sample_recording import SampleRecording
 from canfb.simulation.encoder import Encoder

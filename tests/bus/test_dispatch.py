@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 import pytest
 from hypothesis import given, strategies as st
 
+from canfb import FeedbackModule, ModuleConfig
 from canfb.bus.frame_bus import REMOTE, FrameBus, Received
 from canfb.bus.runner import Runner
 from canfb.device.core import CanIds
 from canfb.device.node import Device, Selective
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from drawing import examples
 from fake_bus import FakeClock, FakeDevice
 from ideal_tracks import counts_at

@@ -15,17 +15,14 @@ import pytest
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from hypothesis import given, strategies as st
 
+from canfb import BusError, FeedbackModule, Frame, ModuleConfig
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.clocks import date_and_time
 from canfb.bus.frame_bus import PythonCanBus
 from canfb.bus.runner import Runner
 from canfb.bus.sdo_channel import SharedClient, sdo_turn
 from canfb.bus.shared_bus import SharedBus, beside, only_reads
-from canfb.cia301.frame import Frame
-from canfb.errors import BusError
 from canfb.master.access import NodeAccess
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from commissioning_kit import Bench
 from fake_bus import message
 from folding import each

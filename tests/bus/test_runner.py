@@ -12,15 +12,12 @@ import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 from hypothesis import example, given, strategies as st
 
-from canfb import objects as od
+from canfb import FeedbackModule, Frame, ModuleConfig, objects as od
 from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED, LASTING_S, RETRY_S, SETTLED_S
 from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, DeviceFailure, Runner
 from canfb.cia301.codes import NmtState
-from canfb.cia301.frame import Frame
 from canfb.device.node import Device
 from canfb.errors import reason
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from drawing import examples
 from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 from folding import each

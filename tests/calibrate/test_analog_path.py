@@ -11,6 +11,7 @@ import pytest
 from calibrating import calibrate, command, position_errors
 from test_recordings_and_own_calibration import with_calculator
 
+from canfb import CalibrationError, Conditioning, ConfigError
 from canfb.calibrate.calibration_summary import delay_words
 from canfb.calibration.over_speeds import sampled_together
 from canfb.calibration.path_fit import LowPass
@@ -19,13 +20,11 @@ from canfb.cli.calibrate import calibrate as calibrate_files
 from canfb.cli.commands import build_parser
 from canfb.cli.printing import Progress
 from canfb.device.storage.storage import MemoryStore
-from canfb.errors import CalibrationError, ConfigError
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import put_in_force, read_active, read_conditioning
 from canfb.master.machine_watch import Provenance
 from canfb.master.session import read_corners
 from canfb.sdo.tables import as_yaml, read_table
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.front_end import NO_LOW_PASS
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, Motion, Ramp, Ripple

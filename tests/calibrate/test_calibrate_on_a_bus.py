@@ -12,20 +12,18 @@ import pytest
 from calibrating import calibrate, command, position_errors
 
 import canfb
+from canfb import CalibrationError, FeedbackModule, Frame
 from canfb.calibration.recording import LARGEST_DENOMINATOR, away_from, find_lock
-from canfb.cia301.frame import Frame
 from canfb.cli.commands import build_parser
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.printing import Progress
 from canfb.cli.simulate import chosen
 from canfb.configuration import parse_config
 from canfb.device.storage.storage import MemoryStore
-from canfb.errors import CalibrationError
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import read_active
 from canfb.master.samples import TrackSamples
-from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.supervision import TABLE_ACTIVE, VALID
 from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer

@@ -15,26 +15,21 @@ from typing import Any
 
 import pytest
 
+from canfb import CanfbError, Conditioning, FeedbackModule, Frame, ModuleConfig, eds_path
 from canfb.calibrate.measurement import Measurement, Settings
 from canfb.calibrate.procedure import install, verify
 from canfb.calibration.deviation import Deviation
-from canfb.cia301.frame import Frame
 from canfb.cli.backup_command import backup_of
 from canfb.commission.commission_run import set_limits
 from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import Changes, MemoryStore
-from canfb.eds_files import eds_path
-from canfb.errors import CanfbError
 from canfb.master.all_or_nothing import Guard, save
 from canfb.master.samples import TrackSamples
 from canfb.module.device_configuration import configuration_of, read_configuration, restored_configuration
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.objects import SUPERVISION_PHASE_ERROR, Multiplexer
 from canfb.sdo.backups import Backup, restore_backup
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.tables import TableFile, TableTasks
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, Bench, bench_with
 from ideal_tracks import wavy_table

@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 from calibrating import calibrate
 
+from canfb import CalibrationError, Frame
 from canfb.bus.runner import ending_on_signals
 from canfb.calibrate.calibration_summary import outcome
 from canfb.calibrate.measurement import Measurement, Settings, block_of
 from canfb.calibrate.procedure import Installation, install, verify
 from canfb.calibration.deviation import best_deviation
-from canfb.cia301.frame import Frame
 from canfb.cli.printing import Progress
 from canfb.device.storage.storage import MemoryStore
-from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, put_in_force_again, read_active
 from canfb.master.machine_watch import Provenance

@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 from calibrating import calibrate, position_errors
 
-from canfb.cia301.frame import Frame
+from canfb import CalibrationError, FeedbackModule, Frame, ModuleConfig
 from canfb.cli.commands import build_parser
 from canfb.cli.node_options import measured_nodes
 from canfb.configuration import parse_config
-from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import read_active
 from canfb.master.samples import listen, record
 from canfb.master.session import agreed_layout
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer, SyncTiming
 from canfb.simulation.encoder import Motion, Ramp

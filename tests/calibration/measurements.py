@@ -5,9 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from canfb.errors import CalibrationError
+from canfb import CalibrationError, CorrectionTable
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, IntArray, raw_phases
 from canfb.simulation.encoder import Encoder, Harmonic
 

@@ -17,10 +17,9 @@ from measurements import (
     wandering,
 )
 
+from canfb import CalibrationError, CanfbError, Conditioning
 from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
 from canfb.calibration.result import Calibration, Reason
-from canfb.errors import CalibrationError, CanfbError
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray, raw_phases
 from canfb.simulation.encoder import Encoder, Harmonic
 

@@ -10,12 +10,10 @@ import pytest
 from hypothesis import example, given, strategies as st
 from measurements import extreme_encoder, measured, paper_motion, random_encoder, true_phases, wandering
 
-from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
+from canfb import CalibrationError, CorrectionTable, calibrate_from_motion, calibrate_from_zero_crossings
 from canfb.calibration.over_speeds import TracksAtSpeed, calibrate_over_speeds
 from canfb.calibration.result import Calibration, Reason, drift
-from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, raw_phases
 from canfb.simulation.encoder import Encoder, Harmonic
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 from measurements import CYCLES_PER_REVOLUTION, RATE_HZ
 
+from canfb import CalibrationError, ChainConfig, Sample, SignalChain
 from canfb.calibration.over_speeds import (
     SpeedCalibration,
     TracksAtSpeed,
@@ -15,12 +16,8 @@ from canfb.calibration.over_speeds import (
     standing_waveform,
 )
 from canfb.calibration.path_fit import AMPLITUDE_REPEATS, Fundamental, PathFit, fit_low_pass, fit_path
-from canfb.errors import CalibrationError
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
 from canfb.signal.front_end import Corners
 from canfb.signal.phase import FloatArray
-from canfb.signal.sample import Sample
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from folding import each
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canfb import CalibrationError, calibrate_from_motion
 from canfb.calibration.ellipse import angle_cycles, fit_ellipse
-from canfb.calibration.methods import calibrate_from_motion
-from canfb.errors import CalibrationError
 from canfb.signal.phase import FloatArray, raw_phases
 
 FILE = Path(__file__).resolve().parents[3] / "shared" / "data" / "servoproject_optical_encoder.csv"

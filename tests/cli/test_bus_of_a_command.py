@@ -9,12 +9,9 @@ import can
 import can.cli
 import pytest
 
+from canfb import FeedbackModule, Frame, ModuleConfig, eds_path
 from canfb.cia301.codes import NmtState
-from canfb.cia301.frame import Frame
 from canfb.cli.options import BUS_HELP
-from canfb.eds_files import eds_path
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from commands import Command, yaml_file
 from documentation import blocks, page
 

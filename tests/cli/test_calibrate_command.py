@@ -11,11 +11,10 @@ import can
 import numpy as np
 import pytest
 
+from canfb import BusError, CorrectionTable
 from canfb.bus import opening
 from canfb.calibrate.calibration_run import CalibrationRun
 from canfb.cli.printing import CLEAR, Progress
-from canfb.errors import BusError
-from canfb.signal.correction import CorrectionTable
 from commands import Command
 from commissioning_kit import random_encoder
 

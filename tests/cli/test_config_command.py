@@ -11,22 +11,16 @@ import canopen
 import pytest
 
 import canfb
+from canfb import Conditioning, FeedbackModule, Frame, ModuleConfig, StateFiles, eds_path, load_config
 from canfb.bus.opening import check_words
-from canfb.cia301.frame import Frame
 from canfb.cli import config_file
-from canfb.configuration import load_config
 from canfb.demo.story import EmbeddedNetwork
 from canfb.device.od.dcf import decode_concise
 from canfb.device.storage.storage import MemoryStore, Store
-from canfb.eds_files import eds_path
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.hosting import saved_configuration
-from canfb.hosting.state_files import StateFiles
 from canfb.master.access import NodeAccess
 from canfb.module.device_configuration import configuration_of, read_configuration
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
 from commands import Command, yaml_file

@@ -11,9 +11,8 @@ from pathlib import Path
 import can
 import pytest
 
-from canfb.configuration import Config
+from canfb import Config, ModuleConfig
 from canfb.hosting.trying import NetworkOnBus
-from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.monitoring.watching import Watching
 from canfb.scope.page_server import LivePage

@@ -11,14 +11,12 @@ import can
 import numpy as np
 import pytest
 
-from canfb.cia301.frame import Frame
+from canfb import FeedbackModule, Frame, max_acceleration
 from canfb.cli.commands import build_parser
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.simulate import chosen
 from canfb.configuration import parse_config
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.module.feedback_module import FeedbackModule
-from canfb.signal.limits import max_acceleration
 from canfb.signal.starts import START_SAMPLES
 from canfb.signal.supervision import VALID
 from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer

@@ -9,14 +9,11 @@ import can
 import numpy as np
 import pytest
 
-from canfb.cia301.frame import Frame
+from canfb import ConfigError, FeedbackModule, Frame, Sample
 from canfb.cli.commands import build_parser
 from canfb.cli.simulate import chosen
 from canfb.configuration import Config, load_config, parse_config
-from canfb.errors import ConfigError
 from canfb.hosting.simulating import Simulating
-from canfb.module.feedback_module import FeedbackModule
-from canfb.signal.sample import Sample
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import MotionSource

@@ -10,15 +10,13 @@ from typing import Any
 
 import pytest
 
-from canfb import objects as od
+from canfb import BusError, Frame, objects as od
 from canfb.calibration.path_fit import LowPass
-from canfb.cia301.frame import Frame
 from canfb.cli.commands import build_parser
 from canfb.cli.commission import measured_nodes, named_config, run as commissioned, say_result, wishes_of
 from canfb.cli.printing import Progress
 from canfb.commission.limit_choice import corner_choice
 from canfb.device.storage.storage import MemoryStore
-from canfb.errors import BusError
 from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, put_in_force

@@ -8,17 +8,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from canfb import objects as od
+from canfb import ChainConfig, max_acceleration, objects as od, process_stream
 from canfb.calibrate.measurement import supervise
 from canfb.commission.limit_choice import Choice, choose, observe
 from canfb.commission.machine_figures import repeats_of_frozen_input
 from canfb.master.access import CommissioningError
 from canfb.master.samples import TrackSamples
 from canfb.master.session import SupervisionLimits
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.limits import max_acceleration
 from canfb.signal.phase import FloatArray
-from canfb.signal.stream import process_stream
 from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple
 from folding import each
 from machine_kit import RATE_HZ, N, SimulatedMachine, duty

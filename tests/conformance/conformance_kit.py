@@ -13,11 +13,9 @@ from typing import Any, ClassVar, NamedTuple
 from conformance_eds import Eds
 
 import sdo_client
-from canfb.cia301.frame import Frame
+from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.storage.storage import MemoryStore
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from played import Still
 
 MODULE, INTERFACE = "module", "interface"

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from canfb.cia301.frame import Frame
+from canfb import Frame, StatusBit
 from canfb.demo import demo_page, story as story_module
 from canfb.demo.demo_page import (
     account,
@@ -41,7 +41,6 @@ from canfb.demo.story import (
     Story,
     run_story,
 )
-from canfb.objects import StatusBit
 from canfb.signal.starts import MOST_WAITING
 from canfb.simulation.encoder import Encoder, SCurve
 from commands import Command

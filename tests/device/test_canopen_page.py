@@ -4,11 +4,10 @@ import re
 
 import pytest
 
+from canfb import Frame, eds_path
 from canfb.cia301.codes import AbortCode, EmergencyCode
-from canfb.cia301.frame import Frame
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.eds_files import eds_path
 from documentation import page
 
 PAGE = page("canopen")

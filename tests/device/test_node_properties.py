@@ -7,12 +7,11 @@ from device_kit import ID, Bench, RecordingApplication, hexes
 from hypothesis import given, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
+from canfb import Frame, eds_path
 from canfb.cia301 import cob
 from canfb.cia301.codes import NmtState
-from canfb.cia301.frame import Frame
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.eds_files import eds_path
 from drawing import examples
 from tools.fuzz.body import Play
 

@@ -7,10 +7,9 @@ from typing import Any
 import pytest
 from device_kit import ID, OK, RESET_NODE, VERIFY, Bench
 
+from canfb import FeedbackModule, ModuleConfig
 from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import MOST_WAITING, POLL_S, Changes, MemoryStore
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from folding import each
 
 SAVE, LOAD = "2310100173617665", "231110016C6F6164"

@@ -8,11 +8,8 @@ import can
 import pytest
 from hypothesis import given, strategies as st
 
-from canfb import objects as od
-from canfb.cia301.frame import Frame
-from canfb.configuration import Config
+from canfb import Config, Frame, eds_path, objects as od
 from canfb.diagnosis.nodes_and_frames import FoundNode, FrameWords, learn_by_sdo, scan
-from canfb.eds_files import eds_path
 from canfb.monitoring.layout import known_objects
 from canfb.objects import LossCause
 from canfb.sdo.object_description import ObjectDescriptions

@@ -12,11 +12,9 @@ from typing import Any
 import pytest
 
 import commissioning_kit
-from canfb import objects as od
-from canfb.cia301.frame import Frame
+from canfb import BusError, Frame, objects as od
 from canfb.cli.commands import build_parser
 from canfb.diagnosis.lost import MOTION, Loss, LostPosition, read_lost_position
-from canfb.errors import BusError
 from canfb.hosting import self_diagnosis
 from canfb.objects import LossCause, StatusBit
 from canfb.rows import age_words

@@ -3,13 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-from canfb.cia301.frame import Frame
+from canfb import FeedbackModule, Frame, ModuleConfig, eds_path
 from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.storage import Store
-from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 from played import Still
 

@@ -8,12 +8,10 @@ from typing import Any
 import network_file
 
 import master
+from canfb import FeedbackModule, Frame, load_config
 from canfb.cia301.codes import NmtState
-from canfb.cia301.frame import Frame
-from canfb.configuration import load_config
 from canfb.demo.story import EmbeddedNetwork
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.embedded_bus import REGULAR, BackgroundTraffic, EmbeddedBus, SyncProducer, SyncTiming
 from canfb.simulation.set_up import simulated_axis

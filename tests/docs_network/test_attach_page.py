@@ -8,13 +8,10 @@ from typing import Any
 import canopen
 import pytest
 
+from canfb import FeedbackModule, Frame, ModuleConfig, StatusBit
 from canfb.cia301.codes import NmtState
-from canfb.cia301.frame import Frame
 from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.storage import MemoryStore
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.objects import StatusBit
 from canfb.simulation.embedded_bus import EmbeddedBus
 from documentation import blocks, page
 from ideal_tracks import counts_at

@@ -15,10 +15,9 @@ from network_bench import write
 from story_bench import FOLDER, DriveNetwork, assert_all_quiet
 
 import master
+from canfb import Frame, StatusBit
 from canfb.cia301.codes import NmtState
-from canfb.cia301.frame import Frame
 from canfb.module.events import Event, EventKind
-from canfb.objects import StatusBit
 from canfb.simulation.cia402.drive import DriveError
 from canfb.simulation.cia402.state_machine import State
 

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from canfb import FeedbackModule, Frame, ModuleConfig
+from canfb import FeedbackModule, Frame, ModuleConfig, eds_path
 from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.parameters import SAME_UNIT
 from canfb.sdo.object_description import ObjectDescriptions

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from canfb import eds_files
+from canfb import CanfbError, eds_files
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import EdsNotFoundError, eds_path
-from canfb.errors import CanfbError
 from documentation import ROOT
 from eds_text import DRIVE, INTERFACE, MODULE, NAMES, eds_of
 from folding import each

@@ -4,9 +4,8 @@ import re
 from dataclasses import fields
 from typing import NamedTuple
 
-from canfb import Conditioning, objects
+from canfb import Conditioning, eds_path, objects
 from canfb.device.od.eds import read
-from canfb.eds_files import eds_path
 from canfb.objects import Multiplexer
 from folding import each
 

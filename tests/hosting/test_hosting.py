@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from canfb.configuration import load_config
-from canfb.errors import BusError, ConfigError
+from canfb import BusError, ConfigError, load_config
 from canfb.hosting import serving
 from canfb.hosting.hosting import Hosting
 from canfb.hosting.readiness import Readiness

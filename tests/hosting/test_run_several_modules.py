@@ -12,15 +12,11 @@ from pathlib import Path
 import can
 import pytest
 
+from canfb import ConfigError, FeedbackModule, Frame, ModuleConfig, StatusBit
 from canfb.bus.runner import Runner
-from canfb.cia301.frame import Frame
 from canfb.cli.main import main
 from canfb.configuration import parse_config
-from canfb.errors import ConfigError
 from canfb.hosting import serving
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.objects import StatusBit
 from documentation import blocks, page
 from fake_bus import FakeBus, FakeClock, each_kind_of_bus, frame_bus, message  # noqa: F401
 from folding import each

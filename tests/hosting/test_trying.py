@@ -10,14 +10,13 @@ from uuid import uuid4
 import can
 import pytest
 
+from canfb import BusError, StatusBit
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.cia301 import cob
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import Config, parse_config
-from canfb.errors import BusError
 from canfb.hosting.trying import PRIVATE_GROUPS, START_ALL, NetworkOnBus, private_bus
-from canfb.objects import StatusBit
 
 NODE, NMT = 0x20, 0x000
 PATIENCE_S = 60.0

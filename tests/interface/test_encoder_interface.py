@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 from hypothesis import given, strategies as st
 
-from canfb.cia301.frame import Frame
+from canfb import Frame, Sample
 from canfb.interface.encoder_interface import EncoderInterface, SampleClock
-from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, Motion, MotionSource, ShaftEncoder
 from canfb.sources.protocol import Source
 from drawing import examples

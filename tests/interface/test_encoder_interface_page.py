@@ -7,12 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from canfb import ConfigError, ModuleConfig, eds_path
 from canfb.configuration import INTERFACES, parse_config
 from canfb.device.od.dictionary import Dictionary
-from canfb.eds_files import eds_path
-from canfb.errors import ConfigError
 from canfb.interface.encoder_interface import InterfaceConfig
-from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults
 from canfb.planning import plan_rows
 from canfb.signal.limits import MOST_PHASE_ERROR_CYCLES

@@ -14,12 +14,10 @@ import numpy as np
 import pytest
 from emulated_iiod import LIMIT_S, EmulatedAdc, EmulatedIiod, Machine, deliver, fired_by_sync, reading, until
 
-from canfb.cia301.frame import Frame
+from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.configuration import INTERFACES, Config, parse_config
 from canfb.hosting.captured_source import CapturedSource
 from canfb.hosting.hosting import make_interface, open_source
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import MISSED, VALID
 from canfb.simulation.encoder import Ramp
 

@@ -16,9 +16,8 @@ import can
 import numpy as np
 import pytest
 
+from canfb import CanfbError, StateFiles, StatusBit
 from canfb.device.storage.storage import MemoryStore
-from canfb.errors import CanfbError
-from canfb.hosting.state_files import StateFiles
 from canfb.logs import log_replay
 from canfb.logs.log_replay import (
     COLUMNS as ROW_COLUMNS,
@@ -29,7 +28,6 @@ from canfb.logs.log_replay import (
     rows_of,
     work_of,
 )
-from canfb.objects import StatusBit
 from canfb.replay.findings import COLUMNS
 from canfb.sdo.tables import as_yaml
 from canfb.signal.conditioning import IDENTITY

@@ -4,12 +4,10 @@ from typing import Any
 
 import pytest
 
-from canfb import objects as od
+from canfb import CorrectionTable, Frame, objects as od
 from canfb.cia301.datatypes import DataType
-from canfb.cia301.frame import Frame
 from canfb.master.access import REALS, CommissioningError, ObjectAbsentError, as_real32
 from canfb.master.session import SupervisionLimits
-from canfb.signal.correction import CorrectionTable
 from commissioning_kit import Bench
 from node_commands import abort, between, interrupt
 

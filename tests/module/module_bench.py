@@ -3,13 +3,9 @@ from typing import Any
 
 import canopen
 
-from canfb.cia301.frame import Frame
+from canfb import CorrectionTable, FeedbackModule, Frame, ModuleConfig, eds_path
 from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.storage import Store
-from canfb.eds_files import eds_path
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.sources.protocol import Source
 from ideal_tracks import adc_pdo

@@ -14,13 +14,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from module_bench import Bench
 
+from canfb import CorrectionTable, Frame
 from canfb.calibration.result import Calibration, Reason, drift
-from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.objects.calibrating import CalibrationJob, Outcome
 from canfb.objects import MeasurementCommand as Command, MeasurementState as State, StatusBit
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample_recording import SampleRecording
 from canfb.simulation.encoder import Encoder, Harmonic

@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 from module_bench import Bench
 
-from canfb.cia301.frame import Frame
+from canfb import AdaptConfig, Conditioning, FeedbackModule, Frame
 from canfb.configuration import parse_config
 from canfb.device.storage.storage import MemoryStore
-from canfb.module.feedback_module import FeedbackModule
 from canfb.objects import AdaptationState as State, StatusBit
-from canfb.signal.adaptation import AdaptConfig
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from folding import each
 from ideal_tracks import adc_pdo

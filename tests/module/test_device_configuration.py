@@ -15,18 +15,13 @@ import pytest
 from hypothesis import example, given, strategies as st
 from module_bench import Bench
 
+from canfb import Conditioning, FeedbackModule, Frame, ModuleConfig, SecondPositionConfig, StatusBit, eds_path
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.datatypes import DataType
-from canfb.cia301.frame import Frame
 from canfb.device.od.dcf import Reals, Write, dcf_text, decode_concise, encode_concise, real_as_text
 from canfb.device.od.dictionary import Entry
-from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of, configuration_read
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig, SecondPositionConfig
-from canfb.objects import StatusBit
-from canfb.signal.conditioning import Conditioning
 from drawing import examples
 from ideal_tracks import counts_at, wavy_table
 

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 from module_bench import SYNC, Bench
 
-from canfb import objects as od
-from canfb.cia301.frame import Frame
+from canfb import Frame, objects as od
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.events import Event, EventKind
 from canfb.objects import LossCause, StatusBit

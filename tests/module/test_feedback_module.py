@@ -6,11 +6,8 @@ from canopen import SdoAbortedError
 from hypothesis import given, strategies as st
 from module_bench import Bench
 
-from canfb.cia301.frame import Frame
+from canfb import FeedbackModule, Frame, ModuleConfig, StatusBit
 from canfb.module.cia406.position import PHASE_UNITS, PositionScale
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.objects import StatusBit
 from drawing import examples
 
 

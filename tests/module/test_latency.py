@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, strategies as st
 from module_bench import SYNC, Bench
 
-from canfb.cia301.frame import Frame
+from canfb import Frame, StatusBit
 from canfb.module.objects.prediction import ahead
-from canfb.objects import StatusBit
 from drawing import examples
 
 ADC_DELAY, REMOTE_DELAY = 0.25, 0.75  # of a SYNC period

@@ -5,10 +5,8 @@ import math
 import pytest
 from module_bench import Bench
 
+from canfb import FeedbackModule, ModuleConfig, Sample
 from canfb.cia301.codes import NmtState
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.signal.sample import Sample
 from canfb.signal.starts import START_SAMPLES
 from canfb.signal.supervision import MISSED, VALID
 from canfb.simulation.encoder import Encoder, Motion, MotionSource, Ramp, ShaftEncoder

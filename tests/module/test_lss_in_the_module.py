@@ -5,14 +5,11 @@ import canopen.lss
 import pytest
 from module_bench import Bench
 
+from canfb import FeedbackModule, Frame, ModuleConfig, eds_path
 from canfb.cia301.codes import NmtState
-from canfb.cia301.frame import Frame
 from canfb.demo.story import EmbeddedNetwork
 from canfb.device.lss import UNCONFIGURED
-from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 from ideal_tracks import counts_at, wavy_table
 from played import Still

@@ -15,11 +15,8 @@ from hypothesis import event, settings, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from reference_model import RANGE, Beyond, Limits, Published, ReferenceModel
 
-from canfb.cia301.frame import Frame
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
+from canfb import CorrectionTable, FeedbackModule, Frame, ModuleConfig
 from canfb.objects import StatusBit as Bit
-from canfb.signal.correction import CorrectionTable
 from ideal_tracks import counts_at
 
 SYNC, ADC_PDO, POSITION_PDO, NODE = 0x80, 0x190, 0x1A0, 32

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import example, given, strategies as st
 from module_bench import Bench
 
-from canfb import objects as od
+from canfb import Sample, objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.limits import cycles_per_interval_squared, narrowed_residual_limit
-from canfb.signal.sample import Sample
 from drawing import examples
 from folding import each
 from servo_kit import IDEAL_TABLE

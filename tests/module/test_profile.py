@@ -9,11 +9,10 @@ from canopen import SdoAbortedError
 from hypothesis import example, given, strategies as st
 from module_bench import Bench
 
+from canfb import FeedbackModule, Frame, ModuleConfig, eds_path
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.cia301.frame import Frame
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.storage import MemoryStore
-from canfb.eds_files import eds_path
 from canfb.module.cia406.cams import OUT_OF_RANGE, OVERFLOW, UNDERFLOW, Cam, limit_position, work_area_state
 from canfb.module.cia406.position import (
     STILL,
@@ -23,9 +22,7 @@ from canfb.module.cia406.position import (
     show_motion,
     single_turn_resolution,
 )
-from canfb.module.feedback_module import FeedbackModule
 from canfb.module.interval import SamplingInterval
-from canfb.module.module_config import ModuleConfig
 from canfb.timing.syncs import Syncs
 from drawing import examples
 

@@ -7,11 +7,10 @@ import canopen
 import pytest
 from module_bench import Bench
 
+from canfb import Frame, eds_path
 from canfb.cia301.codes import EmergencyCode
-from canfb.cia301.frame import Frame
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.storage import MemoryStore
-from canfb.eds_files import eds_path
 from canfb.module.cia406.alarms import CODES
 from canfb.module.cia406.profile import ALARM_PARAMETERS, ALARM_POSITION
 from documentation import blocks, page

@@ -8,12 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canfb.cia301.frame import Frame
+from canfb import Conditioning, FeedbackModule, Frame, ModuleConfig, StatusBit
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.objects import StatusBit
-from canfb.signal.conditioning import Conditioning
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.sources.recording_source import RecordingLayout, open_recording
 

@@ -7,14 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canfb import objects as od
-from canfb.cia301.frame import Frame
+from canfb import Feedback, FeedbackModule, Frame, ModuleConfig, objects as od
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
-from canfb.signal.sample import Feedback
 from canfb.simulation.encoder import Encoder, Motion, MotionSource, Ramp, ShaftEncoder
 from folding import each
 from servo_kit import IDEAL_TABLE, s_curve

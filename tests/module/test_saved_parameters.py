@@ -12,18 +12,14 @@ from canopen import RemoteNode
 from hypothesis import example, given, strategies as st
 from module_bench import Bench
 
+from canfb import Conditioning, FeedbackModule, Frame, ModuleConfig, SecondPositionConfig, eds_path
 from canfb.cia301 import cob
-from canfb.cia301.frame import Frame
 from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.kept import Identity, ParameterGroup, Record, decode_image, encode_image
 from canfb.device.storage.storage import MemoryStore
-from canfb.eds_files import eds_path
 from canfb.hosting import state_files
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.device_configuration import configuration_of
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig, SecondPositionConfig
-from canfb.signal.conditioning import Conditioning
 from canfb.simulation.embedded_bus import EmbeddedBus
 from documentation import blocks, page
 from drawing import examples

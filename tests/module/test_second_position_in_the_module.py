@@ -7,10 +7,8 @@ from typing import Any
 import pytest
 from module_bench import SYNC, Bench
 
-from canfb.cia301.frame import Frame
+from canfb import Frame, SecondPositionConfig, StatusBit
 from canfb.module.events import Event, EventKind
-from canfb.module.module_config import SecondPositionConfig
-from canfb.objects import StatusBit
 from folding import each
 from ideal_tracks import counts_at
 

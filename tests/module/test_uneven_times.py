@@ -12,12 +12,9 @@ import pytest
 from hypothesis import example, given, strategies as st
 from module_bench import Bench
 
-from canfb import objects as od
-from canfb.cia301.frame import Frame
+from canfb import FeedbackModule, Frame, ModuleConfig, objects as od
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import LOST, VALID
 from drawing import examples
 from ideal_tracks import adc_pdo, counts_at

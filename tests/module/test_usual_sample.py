@@ -6,12 +6,8 @@ from typing import Any
 import pytest
 from hypothesis import example, given, strategies as st
 
-from canfb import objects as od
+from canfb import Feedback, FeedbackModule, Frame, ModuleConfig, Sample, objects as od
 from canfb.cia301.codes import SdoAbort
-from canfb.cia301.frame import Frame
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
-from canfb.signal.sample import Feedback, Sample
 from canfb.signal.supervision import VALID
 from drawing import examples
 from ideal_tracks import Resolving, adc_pdo, wavy_table

@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 from module_bench import Bench
 
-from canfb import objects as od
-from canfb.cia301.frame import Frame
+from canfb import Frame, objects as od
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.device_configuration import backup_values, configuration_of
 

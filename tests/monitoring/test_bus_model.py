@@ -12,11 +12,8 @@ from typing import Any
 import pytest
 from hypothesis import given, strategies as st
 
-from canfb import objects as od
+from canfb import Config, FeedbackModule, ModuleConfig, objects as od
 from canfb.cia301.frame import Frame, frame_bits
-from canfb.configuration import Config
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import NEEDED, Origin, assumed_layout, known_layouts, layout_of
 from canfb.monitoring.lines import residual_words, sync_words

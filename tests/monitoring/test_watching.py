@@ -9,9 +9,7 @@ import can
 import pytest
 
 import canfb
-from canfb import objects as od
-from canfb.configuration import Config
-from canfb.errors import CanfbError
+from canfb import CanfbError, Conditioning, Config, objects as od
 from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import put_in_force
 from canfb.monitoring.bus_model import BusModel
@@ -19,7 +17,6 @@ from canfb.monitoring.layout import Origin, known_layouts
 from canfb.monitoring.sdo_reading import CYCLE_S, LAYOUT_S, QUIET_S, REPEATED, ModuleReader, ModuleReading
 from canfb.monitoring.snapshot import BusSnapshot, NodeSnapshot
 from canfb.monitoring.watching import MessageReader, Watching
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, Bench
 from fake_bus import FakeBus, FakeClock, message

@@ -9,14 +9,12 @@ from hypothesis import given, strategies as st
 from planning_kit import planned
 
 import canfb
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
+from canfb import Conditioning, FeedbackModule, ModuleConfig
 from canfb.module.parameters import configured_defaults
 from canfb.planning.hints import changes_of
 from canfb.planning.plan import PEAK, RAW_PHASE_ERROR_CYCLES, Limited, Plan, ResidualBudget
 from canfb.planning.plan_rows import analog_row
 from canfb.planning.planned_bus import PlannedModule
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.limits import narrowed_residual_limit, samples_without_harm
 from canfb.simulation.scenario import MotionConfig
 from canfb.simulation.set_up import of_motion

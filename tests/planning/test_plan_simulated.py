@@ -11,16 +11,11 @@ import numpy as np
 import pytest
 from planning_kit import RATE_HZ, planned
 
-from canfb import objects as od
-from canfb.cia301.frame import Frame
+from canfb import CorrectionTable, FeedbackModule, Frame, ModuleConfig, Sample, objects as od
 from canfb.hosting.hosting import saved_configuration
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.planning.plan import ResidualBudget
 from canfb.planning.planned_bus import PlannedModule
-from canfb.signal.correction import CorrectionTable
-from canfb.signal.sample import Sample
 from canfb.signal.starts import MOST_WAITING
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from canfb.cia301.frame import Frame
+from canfb import Frame, StatusBit
 from canfb.device.storage.storage import MemoryStore
 from canfb.logs.log_replay import ReplayOptions, replay_log
-from canfb.objects import StatusBit
 from canfb.replay.findings import Block
 from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.replay_result import ReplayResult

@@ -15,9 +15,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import canfb
-from canfb import objects as od
-from canfb.configuration import Config
-from canfb.errors import CanfbError
+from canfb import CanfbError, Config, objects as od
 from canfb.monitoring.layout import known_layouts
 from canfb.monitoring.lines import MachineUnits
 from canfb.monitoring.sdo_reading import ModuleReading

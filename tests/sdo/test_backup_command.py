@@ -10,20 +10,18 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from canfb import Conditioning, Frame, eds_path
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import NmtState
 from canfb.cia301.datatypes import DataType
-from canfb.cia301.frame import Frame
 from canfb.cli import node_command
 from canfb.device.storage.storage import MemoryStore
-from canfb.eds_files import eds_path
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import put_in_force
 from canfb.module.device_configuration import configuration_of
 from canfb.sdo.backups import Backup, NodeIdentity, backup_text, read_backup
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import value_range
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, OTHER, TABLE, Bench, running
 from documentation import blocks, commands, page

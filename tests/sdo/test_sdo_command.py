@@ -10,15 +10,13 @@ import canopen
 import pytest
 from hypothesis import example, given, strategies as st
 
+from canfb import CorrectionTable, StatusBit, eds_path
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.datatypes import DataType
 from canfb.device.storage.storage import MemoryStore
-from canfb.eds_files import eds_path
-from canfb.objects import StatusBit
 from canfb.sdo.object_description import ObjectDescriptions, numbered
 from canfb.sdo.sdo_tasks import MODULE, abort_words, in_words, parse_value, short_real, value_range
-from canfb.signal.correction import CorrectionTable
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench, running
 from documentation import blocks, commands, page
 from node_commands import Commands, abort, between, drop_answer, is_write

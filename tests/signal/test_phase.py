@@ -8,14 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, strategies as st
 
+from canfb import ChainConfig, Conditioning, CorrectionTable, SignalChain, phase_in_cycle, track
 from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import CorrectionTable
-from canfb.signal.phase import phase_in_cycle
 from canfb.signal.stream import process, process_stream
-from canfb.signal.tracker import track
 from folding import each
 
 values = st.floats(-1e300, 1e300, allow_subnormal=False) | st.sampled_from([math.nan, math.inf, -0.0])

@@ -11,17 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import example, given, strategies as st
 
-from canfb.objects import StatusBit
+from canfb import ChainConfig, Conditioning, CorrectionTable, Sample, SignalChain, StatusBit, phase_in_cycle
 from canfb.signal import blocks, stream
 from canfb.signal.blocks import BLOCK_SAMPLES
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import CorrectionTable
 from canfb.signal.estimator import Estimator
 from canfb.signal.limits import Declared
-from canfb.signal.phase import phase_in_cycle
-from canfb.signal.sample import Sample
 from canfb.signal.stages import Stages
 from canfb.signal.stream import ChainResult, process, process_stream
 from canfb.signal.tracker import Tracker, TrackResult, track

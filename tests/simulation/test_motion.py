@@ -10,19 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from canfb.cia301.frame import Frame
+from canfb import ChainConfig, Frame, ModuleConfig, Sample, eds_path, max_acceleration
 from canfb.cli.commands import build_parser
 from canfb.cli.simulate import check_record, chosen, write_record
 from canfb.configuration import parse_config
 from canfb.device.od.dictionary import Dictionary
-from canfb.eds_files import eds_path
 from canfb.errors import CanfbError, ConfigError
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.module.module_config import ModuleConfig
 from canfb.objects import MachineCommand
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.limits import max_acceleration
-from canfb.signal.sample import Sample
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple, StoppableMotion

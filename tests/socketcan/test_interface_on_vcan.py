@@ -30,9 +30,8 @@ from network import (
 )
 from pace import Pace
 
+from canfb import StatusBit, eds_path
 from canfb.device.od.dictionary import Dictionary
-from canfb.eds_files import eds_path
-from canfb.objects import StatusBit
 from processes import Process, Started
 
 CHANNEL = "bus: {interface: socketcan, channel: vcan0}\n"

@@ -27,9 +27,8 @@ from network import (
 )
 from pace import Pace
 
-from canfb.objects import StatusBit
+from canfb import Conditioning, StatusBit
 from canfb.sdo.tables import as_yaml
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from commissioning_kit import TABLE
 from processes import Process, Started

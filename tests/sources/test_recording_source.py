@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canfb.errors import CanfbError
-from canfb.signal.sample import Sample
+from canfb import CanfbError, Sample
 from canfb.sources.protocol import SourceEnded
 from canfb.sources.recording_source import RecordingLayout, open_recording
 from folding import each

@@ -16,15 +16,12 @@ import yaml
 from hypothesis import given, strategies as st
 
 import canfb.sources
-from canfb.cia301.frame import Frame
+from canfb import BusError, ConfigError, FeedbackModule, Frame, Sample
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.printing import printed_log
 from canfb.configuration import parse_config
-from canfb.errors import BusError, ConfigError
 from canfb.hosting.hosting import make_module, open_source
 from canfb.master.samples import TrackSamples, write_npz
-from canfb.module.feedback_module import FeedbackModule
-from canfb.signal.sample import Sample
 from canfb.signal.supervision import VALID
 from canfb.simulation.encoder import Encoder, Motion, MotionSource, Ramp, Ripple, ShaftEncoder
 from canfb.sources.iio_source import ChannelScaling, IioCapture, IioSourceConfig

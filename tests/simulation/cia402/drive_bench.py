@@ -9,12 +9,9 @@ import numpy as np
 from canopen.pdo.base import PdoMap
 from canopen.profiles.p402 import BaseNode402
 
-from canfb.cia301.frame import Frame
+from canfb import FeedbackModule, Frame, ModuleConfig, eds_path
 from canfb.demo.story import EmbeddedNetwork
-from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface, SampleClock
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant, PlantSource
 from canfb.simulation.cia402.state_machine import State

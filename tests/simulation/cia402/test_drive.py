@@ -11,10 +11,8 @@ import pytest
 from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS, DriveBench, cruising
 from hypothesis import event, example, given, strategies as st
 
+from canfb import Frame, ModuleConfig, Sample
 from canfb.cia301.codes import NmtState
-from canfb.cia301.frame import Frame
-from canfb.module.module_config import ModuleConfig
-from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import DriveConfig, Motor, Plant
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 from hypothesis import example, given, strategies as st
 
-from canfb.cia301.frame import Frame
+from canfb import Frame, eds_path
 from canfb.device.od.dictionary import Dictionary
-from canfb.eds_files import eds_path
 from canfb.simulation.cia402.axis import (
     Demand,
     Gains,
