@@ -2,8 +2,6 @@
 
 from html.parser import HTMLParser
 
-VOID = {"meta", "path", "br", "circle", "rect"}
-
 
 class Page(HTMLParser):
     """Checks that what is opened is closed; keeps tags, attributes and text."""
@@ -21,7 +19,7 @@ class Page(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
         self.attributes += attrs
-        if tag not in VOID:
+        if tag not in {"meta", "path", "br", "circle", "rect"}:
             self.open.append(tag)
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:

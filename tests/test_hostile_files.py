@@ -21,11 +21,10 @@ from commands import yaml_file
 
 LISTS = [f"&b{n} [{', '.join([f'*b{n - 1}' if n else '0.5'] * 9)}]" for n in range(9)]
 BOMB = "x:\n" + "".join(f"- {one}\n" for one in LISTS)
-SELF = "x: &b8 [*b8]\n"
 HUGE = "9" * 400
 
 
-@pytest.mark.parametrize("begin", [BOMB, SELF], ids=["billion", "itself"])
+@pytest.mark.parametrize("begin", [BOMB, "x: &b8 [*b8]\n"], ids=["billion", "itself"])
 def test_aliases_that_stand_for_any_number_of_values(tmp_path: Path, begin: str) -> None:
     path = yaml_file(tmp_path, f"{begin}entries: *b8\n")
     with pytest.raises(CanfbError, match="more than 100000 values"):

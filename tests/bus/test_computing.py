@@ -20,8 +20,6 @@ from canfb.signal.sample_recording import SampleRecording
 from canfb.simulation.encoder import Encoder
 from fake_bus import FakeBus, FakeClock, FakeDevice, frame_bus
 
-PATIENCE_S = 60.0
-
 
 class FakeComputer:
     """A device that has one thing to compute after the other, polled until something has happened."""
@@ -47,7 +45,7 @@ class FakeComputer:
         self.parts.append(part)
 
     def poll_until(self, done: Callable[[], bool]) -> None:
-        give_up = time.monotonic() + PATIENCE_S
+        give_up = time.monotonic() + 60.0
         while not done():
             assert time.monotonic() < give_up
             self.frames += self.computation.poll(7.0)

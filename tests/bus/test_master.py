@@ -27,11 +27,9 @@ from commissioning_kit import Bench
 from fake_bus import message
 from folding import each
 
-CHANNEL = "canfb-master"
-
 
 def open_virtual(**options: Any) -> can.BusABC:
-    return can.Bus(interface="virtual", channel=CHANNEL, **options)
+    return can.Bus(interface="virtual", channel="canfb-master", **options)
 
 
 @pytest.fixture

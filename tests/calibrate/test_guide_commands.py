@@ -22,8 +22,6 @@ from commands import Command
 from commissioning_kit import EmbeddedMaster
 from documentation import blocks, page
 
-FEWER = ("--least-samples", "2000")  # a measurement of 20 s in place of 80
-
 
 def unplug(device: Any) -> None:
     """It is taken from the bus."""
@@ -86,13 +84,14 @@ class GuideNetwork:
 
     def __call__(self, line: str) -> str:
         """Run a line, ``canfb ...``, perhaps with ``> FILE``, or ``cansend ...``; what it says."""
+        fewer = ("--least-samples", "2000")  # a measurement of 20 s in place of 80
         command, _, file = line.removesuffix(" &").partition(" > ")
         name, *words = shlex.split(command, comments=not command.startswith("cansend"))
         if name == "cansend":
             return self._send(*words[1].split("#"))
         assert name == "canfb"
         self.is_limited = "--seconds" in words
-        words += FEWER if words[0] == "calibrate" and "--samples" not in words else ()
+        words += fewer if words[0] == "calibrate" and "--samples" not in words else ()
         said = self._command("", *words)
         if file:
             Path(file.strip()).write_text(said.out)
@@ -124,7 +123,6 @@ class GuideNetwork:
         return "\n".join(heard)
 
 
-ROOT = Path(__file__).parents[2]
 FIRST_ENCODER = "first-hour#Your first encoder"
 RATE = "plan#The SYNC rate"
 DRIFT = "analog-front-end#Drift: does the correction table still fit?"
@@ -217,7 +215,7 @@ def runs(line: str) -> bool:
 @pytest.fixture
 def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command) -> Iterator[GuideNetwork]:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    (tmp_path / "docs").symlink_to(Path(__file__).parents[2] / "docs")
     with contextlib.ExitStack() as resources:
         yield GuideNetwork(monkeypatch, command, resources)
 

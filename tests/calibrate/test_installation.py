@@ -59,7 +59,7 @@ def test_the_new_set_is_in_force_proven_and_saved(
     assert done.phase_error_cycles is not None
     assert done.phase_error_cycles == pytest.approx(max(0.005, 2.0 * done.fresh.peak), abs=1 / 65536)
     for one in (bench, again):
-        assert one.access.integer(*PHASE_ERROR, "H") == round(done.phase_error_cycles * 65536)
+        assert one.access.integer(0x2010, 12, "H") == round(done.phase_error_cycles * 65536)
 
 
 def test_what_is_not_saved_is_active_and_said(
@@ -72,9 +72,6 @@ def test_what_is_not_saved_is_active_and_said(
     assert store.images == {}
     assert "; not saved: the table is lost" in outcome(measured, done, Provenance("", module=0x20))
     assert read_active(bench.access) == measured.found
-
-
-PHASE_ERROR = (0x2010, 12)
 
 
 def lying(bench: Bench, place: tuple[int, int], times: int) -> None:

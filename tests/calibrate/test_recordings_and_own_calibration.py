@@ -191,12 +191,9 @@ def test_the_configuration_of_such_a_module_names_no_encoder_interface() -> None
     assert measured_nodes(options, config) == (16, None)
 
 
-TIMING = SyncTiming(sync_jitter_us=20.0)
-
-
 @each("per_sync", [2, 3, 4])
 def test_every_sample_is_heard_in_its_order(per_sync: int) -> None:
-    network = Bench(config={"samples_per_sync": per_sync}, timing=TIMING)
+    network = Bench(config={"samples_per_sync": per_sync}, timing=SyncTiming(sync_jitter_us=20.0))
     layout = agreed_layout(network.access, network.interface_access)
     network.master.send(0x000, bytes((2, MODULE_ID)))  # stop it: the interface alone is heard
     samples = listen(network.master, layout, 1.0)

@@ -28,8 +28,6 @@ from commissioning_kit import TABLE
 from documentation import blocks, commands, page
 from tools.soak.embedded_master import EmbeddedMaster
 
-ONE = "modules: [{node_id: 0x21, cycles_per_revolution: 1024, adc_bits: 16, encoder_interface: 0x11}]\n"
-
 
 class Peer(EmbeddedNetwork):
     """A module on an embedded bus, and the master of the command and of the page's examples."""
@@ -57,8 +55,9 @@ class Peer(EmbeddedNetwork):
 @pytest.fixture
 def yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A configuration in the current folder."""
+    one = "modules: [{node_id: 0x21, cycles_per_revolution: 1024, adc_bits: 16, encoder_interface: 0x11}]\n"
     monkeypatch.chdir(tmp_path)
-    return yaml_file(tmp_path, "bus: {channel: can3, bitrate: 250000}\n" + ONE)
+    return yaml_file(tmp_path, "bus: {channel: can3, bitrate: 250000}\n" + one)
 
 
 def test_a_dcf_that_makes_a_module_as_delivered_the_one_of_the_configuration(

@@ -22,12 +22,11 @@ from canfb.hosting import serving
 from commands import Command, yaml_file
 from processes import Started, python
 
-GOOD = "bus: {interface: virtual, channel: canfb-cli}\nmodules: [{node_id: 32}]\n"
-
 
 @pytest.fixture
 def config(tmp_path: Path) -> str:
-    return str(yaml_file(tmp_path, GOOD))
+    good = "bus: {interface: virtual, channel: canfb-cli}\nmodules: [{node_id: 32}]\n"
+    return str(yaml_file(tmp_path, good))
 
 
 def one_line(text: str) -> str:
@@ -136,9 +135,6 @@ def test_a_reader_that_goes_away_is_no_traceback() -> None:
     assert (done.returncode, done.stderr) == (1, "")
 
 
-BEGINS = {"run": "running node 32 (20h)", "simulate": "encoder interface: node 16 (10h)"}
-
-
 @pytest.mark.parametrize(
     ("command", "number", "last"),
     [("run", signal.SIGINT, "node 32: 0 samples; "), ("simulate", signal.SIGTERM, "0 samples sent")],
@@ -146,12 +142,13 @@ BEGINS = {"run": "running node 32 (20h)", "simulate": "encoder interface: node 1
 def test_a_signal_ends_it_with_exit_code_0(
     command: str, number: signal.Signals, last: str, config: str, started: Started
 ) -> None:
+    begins = {"run": "running node 32 (20h)", "simulate": "encoder interface: node 16 (10h)"}
     process = started(sys.executable, *CANFB, command, config)
     process.wait_for("end with Ctrl-C")
     process.send(number)
     assert process.wait() == 0
     waits = ", waits for NMT start (--autostart)" * (command == "simulate")
-    assert process.lines[0] == f"{BEGINS[command]} on virtual canfb-cli{waits}; end with Ctrl-C"
+    assert process.lines[0] == f"{begins[command]} on virtual canfb-cli{waits}; end with Ctrl-C"
     assert process.lines[-1].startswith(last)
 
 

@@ -157,9 +157,6 @@ def test_the_help_loads_no_server() -> None:
     assert python("-c", code).stdout == "[]\n"
 
 
-PDOS = (0x190, 0x1A0, 0x1B1, 0x2A0, 0x2B1)
-
-
 def test_a_log_in_lines(tmp_path: Path, command: Command) -> None:
     path = tmp_path / "drive.asc"
     with can.Logger(str(path)) as writer:
@@ -188,9 +185,10 @@ def test_of_a_log_that_is_cut_off_the_rest_is_shown(
 
 def test_modules_that_nobody_names_are_known_by_what_they_send(tmp_path: Path, command: Command) -> None:
     """In a log from its first frame on; of other nodes nothing is taken for a PDO of a module."""
+    pdos = (0x190, 0x1A0, 0x1B1, 0x2A0, 0x2B1)
     network = MonitoredNetwork((0x20, 0x31), known=()).run(0.2)
     figures = command("monitor --frames --json --pdo --log", network.log(tmp_path / "drive.log")).objects
-    sent = [frame.can_id for frame, _ in network.frames if frame.can_id in PDOS]
+    sent = [frame.can_id for frame, _ in network.frames if frame.can_id in pdos]
     assert [one["can_id"] for one in figures] == sent
     assert {one["node"] for one in figures if one["kind"] == "tpdo"} == {0x20, 0x31}
     assert all(("6004:00" in one["values"]) == (one["can_id"] in (0x1A0, 0x1B1)) for one in figures)

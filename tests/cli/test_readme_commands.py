@@ -27,7 +27,6 @@ from documentation import ROOT, blocks, commands, page
 from judged_session import check, new_judge
 from processes import Started, python
 
-START_ALL = Frame(0x000, b"\x01\x00")
 POSITION = 0x1A0
 
 
@@ -55,7 +54,7 @@ def ten_seconds(
     for device in (module, interface, SyncProducer(1.0 / rate_hz)):
         bus.attach(device)
     bus.observers.append(note)
-    bus.send(START_ALL)
+    bus.send(Frame(0x000, b"\x01\x00"))
     bus.run_until(bus.now + 10.0)
     assert len(valid) >= 10.0 * rate_hz - 2
     return valid, errors, module, source

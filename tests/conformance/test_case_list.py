@@ -9,13 +9,11 @@ from conformance_kit import DEVICES, EDS, MODULE
 from not_applicable import NOT_APPLICABLE
 from test_exchange_cases import EXCHANGES
 
-HERE = Path(__file__).parent
-
 
 def cases_with_a_test() -> dict[str, set[str]]:
     """The cases with a test, by device: with the argument `tester` on all to which they apply."""
     found = {device: EXCHANGES.keys() - NOT_APPLICABLE[device].keys() for device in DEVICES}
-    for path in sorted(HERE.glob("test_*.py")):
+    for path in sorted(Path(__file__).parent.glob("test_*.py")):
         for node in ast.parse(path.read_text()).body:
             if not isinstance(node, ast.FunctionDef):
                 continue

@@ -63,12 +63,10 @@ def write(tester: Tester, entry: EdsEntry, data: bytes) -> str:
     return tester.download_segmented(entry.m, data)
 
 
-DCFCHK = "import sys; from dcf.cli import main; sys.exit(main())"
-
-
 def test_eds_01_static_check(tester: Tester) -> None:
     """The rules that this checker does not know are in tests/eds/test_cia301.py."""
-    done = python("-c", DCFCHK, "-n", str(tester.id), str(eds_path(tester.eds.name)))
+    dcfchk = "import sys; from dcf.cli import main; sys.exit(main())"
+    done = python("-c", dcfchk, "-n", str(tester.id), str(eds_path(tester.eds.name)))
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert {index for index, _ in tester.eds.entries} == tester.eds.objects.keys()
     for entry in tester.eds.entries.values():

@@ -10,8 +10,6 @@ from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from documentation import page
 
-PAGE = page("canopen")
-
 
 def test_the_codes_are_those_of_the_program() -> None:
     emergencies, aborts = (section(title) for title in ("EMCY", "SDO"))
@@ -25,7 +23,7 @@ def test_the_codes_are_those_of_the_program() -> None:
 
 
 def section(title: str) -> str:
-    return PAGE.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+    return page("canopen").partition(f"\n## {title}\n")[2].partition("\n## ")[0]
 
 
 def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:

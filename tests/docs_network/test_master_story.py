@@ -217,11 +217,9 @@ def test_a_trapezoid_keeps_its_limits(distance: float, speed: float, acceleratio
     assert all(abs(change) <= acceleration * (1 + 1e-4) + 1e-6 for change in changes)
 
 
-CYCLES = 1024
-
-
 def test_the_coupling_slips_in_a_move(capsys: pytest.CaptureFixture[str]) -> None:
     """As the page says. The position stays valid, and that of the encoder; the motor is somewhere else."""
+    cycles = 1024
     network = DriveNetwork(slip_revolutions=0.05, slip_at_s=1.0)
     events = list[Event]()
     network.module.events.on_event = events.append
@@ -234,7 +232,7 @@ def test_the_coupling_slips_in_a_move(capsys: pytest.CaptureFixture[str]) -> Non
     second, feedback = network.module.chain.second, network.module.feedback
     assert second is not None
     assert feedback is not None
-    assert second.difference_cycles == pytest.approx(0.05 * CYCLES, abs=0.05)
+    assert second.difference_cycles == pytest.approx(0.05 * cycles, abs=0.05)
     assert feedback.status & StatusBit.SECOND_POSITION
     assert feedback.valid
     assert network.plant.motor.revolutions == pytest.approx(1.05, abs=1e-3)

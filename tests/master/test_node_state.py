@@ -17,8 +17,6 @@ from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, heard, lose, ru
 from folding import each
 from node_commands import Commands, between
 
-ERROR_CONTROL = 0x700 + MODULE_ID
-
 
 @pytest.mark.parametrize("operational", [True, False])
 @pytest.mark.parametrize("heartbeat_ms", [0, 200])
@@ -40,7 +38,7 @@ def test_a_node_that_a_master_guards_is_not_asked() -> None:
     def guard(now: float) -> None:
         if now - polled[0] >= 0.1:
             polled[0] = now
-            bench.bus.send(Frame(ERROR_CONTROL, b"", True))
+            bench.bus.send(Frame(0x700 + MODULE_ID, b"", True))
 
     bench.master.on_wait = guard
     assert nmt_state(bench.access) is NmtState.OPERATIONAL

@@ -120,6 +120,7 @@ def test_the_limit_is_a_warning_until_it_is_not_reached() -> None:
 
 
 def test_save_keeps_the_drift_and_an_activation_ends_it() -> None:
+    calibrated_32 = Conditioning(40.0, -30.0, 1.0, 1.0, float(np.float32(0.02)))
     store = MemoryStore()
     one = machine(store)
     one.sine_offset = 0.02
@@ -131,7 +132,7 @@ def test_save_keeps_the_drift_and_an_activation_ends_it() -> None:
     again = Turning(store, adapt=False)  # saved values take precedence
     again.start()
     assert again.drift() == pytest.approx(found, rel=1e-6)
-    assert again.module.chain.correction == Correction(IDEAL_TABLE, CALIBRATED_32)
+    assert again.module.chain.correction == Correction(IDEAL_TABLE, calibrated_32)
     assert again.sdo[0x2002][13].raw == State.WAITING
     again.sine_offset = 0.02
     assert np.std(again.turn(600)[100:]) < 0.0008
@@ -142,9 +143,6 @@ def test_save_keeps_the_drift_and_an_activation_ends_it() -> None:
     again.sdo.download(0x1011, 4, b"load")
     again.remote.nmt.send_command(0x81)
     assert again.drift() == (0.0, 0.0, 0.0, 0.0)
-
-
-CALIBRATED_32 = Conditioning(40.0, -30.0, 1.0, 1.0, float(np.float32(0.02)))
 
 
 def test_samples_that_nobody_confirms_are_not_learned() -> None:

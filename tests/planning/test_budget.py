@@ -22,7 +22,6 @@ from documentation import page
 from drawing import examples
 from folding import each
 
-LEGAL = page("supervision")
 RPM = 60.0 / (2.0 * math.pi)
 LIMIT = 21845 / 65536
 
@@ -141,7 +140,7 @@ def test_what_is_not_stated_has_no_margin() -> None:
 
 
 def test_the_samples_in_a_row_are_those_of_the_page() -> None:
-    rows = dict(re.findall(r"^\| (\d) \| 1/(\d) \|", LEGAL, re.M))
+    rows = dict(re.findall(r"^\| (\d) \| 1/(\d) \|", page("supervision"), re.M))
     safe = {n: min(1.0 / (n + 2), 1.0 / ((n + 2) ** 2 // 4)) for n in range(1, 41)}
     assert {int(n): 1.0 / int(part) for n, part in rows.items()} == {n: safe[n] for n in (1, 2, 3)}
     for n in range(1, 41):

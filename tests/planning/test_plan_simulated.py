@@ -23,7 +23,6 @@ from played import Sender
 from servo_kit import IDEAL_TABLE, cycles_of as cycles
 
 NODE, INTERFACE = 0x20, 0x10
-BIT_RATE = 1_000_000
 SYNC, ADC_PDO, POSITION_PDO, PRECISE_PDO = 0x80, 0x190, 0x1A0, 0x2A0
 Placed = Callable[[float], float]  # Position in cycles at a time in seconds.
 HELD, FLAGGED = 0.95, 1.05
@@ -77,7 +76,7 @@ def play(
     seconds: float,
     *,
     rate_hz: float = RATE_HZ,
-    bit_rate: int = BIT_RATE,
+    bit_rate: int = 1_000_000,
     off_s: Callable[[int], float] = lambda k: 0.0,
     between: Callable[[int], list[tuple[float, Frame]]] = lambda k: [],
     table: bool = False,

@@ -123,9 +123,6 @@ def test_rings_and_notes_are_at_their_points() -> None:
     assert svg.count("ring-key") == 1
 
 
-LIMITS = SampleLimits(2048, 600.0, 2300.0)
-
-
 def test_the_harmonics_are_those_that_are_there() -> None:
     """Orders 1, 3 and 20 of known size, means over bins: what the bars are made of."""
     fine = np.arange(64 * 200) / (64 * 200)
@@ -145,7 +142,7 @@ def test_pictures_of_nothing_and_of_perfection() -> None:
     nothing, flat = np.full(5, np.nan), np.zeros(64)
     tracks = Encoder(noise_lsb=0.0).tracks(np.arange(50) / 50)
     for svg in (
-        lissajous(nothing, nothing, IDENTITY, LIMITS),
+        lissajous(nothing, nothing, IDENTITY, SampleLimits(2048, 600.0, 2300.0)),
         lissajous(*tracks, IDENTITY, None),
         pictures.harmonics(flat, flat, 0.0, 1),
         pictures.error_over_phase(flat, np.full(64, np.nan)),

@@ -231,10 +231,7 @@ def test_time_does_not_go_back_and_no_time_changes_nothing(time_s: float) -> Non
     assert (one.time_s, one.revolutions, one.torque_nm) == (0.0, 0.0, 0.0)
 
 
-LOADED = {"load_torque_nm": -0.02, "load_at_s": 2.0, "viscous_friction_nm_s": 1e-3}
-
-
-@each("config", [{}, LOADED])
+@each("config", [{}, {"load_torque_nm": -0.02, "load_at_s": 2.0, "viscous_friction_nm_s": 1e-3}])
 @each("speed", [0.0, 3.0, -50.0])
 def test_a_long_pause_in_one_step_is_what_it_is_in_many(config: dict[str, float], speed: float) -> None:
     at_once, often = (motor(0.03, speed, **config) for _ in range(2))
