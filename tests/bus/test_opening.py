@@ -57,7 +57,7 @@ def because(error: Exception, cause: Exception) -> Exception:
     return error
 
 
-ADVICE: list[tuple[dict[str, Any], Exception, str]] = [
+@pytest.mark.parametrize(("words", "error", "advice"), [
     ({"interface": "socketcan", "channel": "vcan0"}, OSError(97, "Address family not supported by protocol"),
      "this system has no SocketCAN (Address family not supported by protocol); see docs/vcan.md"),
     ({"interface": "socketcan", "channel": "vcan7"}, OSError(19, "No such device"),
@@ -81,10 +81,7 @@ ADVICE: list[tuple[dict[str, Any], Exception, str]] = [
     ({"interface": "udp_multicast", "channel": "239.74.163.3"},
      because(can.CanInitializationError("could not create socket"), OSError(errno.ENODEV, "No such device")),
      "this computer has no route for multicast (`ip route add 224.0.0.0/4 dev lo`); see docs/vcan.md"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("words", "error", "advice"), ADVICE)
+])  # fmt: skip
 def test_what_python_can_says_becomes_advice(
     monkeypatch: pytest.MonkeyPatch, words: dict[str, Any], error: Exception, advice: str
 ) -> None:
@@ -120,8 +117,10 @@ def test_the_page_has_the_port_of_its_example() -> None:
 
 GROUP = "239.74.163.3"
 MULTICAST = {"interface": "udp_multicast"}
+
+
 # Words, those in a file of python-can, and the port that is set.
-PORT_CASES: list[tuple[dict[str, Any], dict[str, Any], int | None]] = [
+@pytest.mark.parametrize(("words", "file", "port"), [
     ({**MULTICAST, "channel": GROUP}, {}, PORTS[GROUP]),
     ({**MULTICAST, "channel": GROUP, "port": 5000}, {}, 5000),
     ({"channel": GROUP}, MULTICAST, PORTS[GROUP]),
@@ -129,10 +128,7 @@ PORT_CASES: list[tuple[dict[str, Any], dict[str, Any], int | None]] = [
     ({**MULTICAST, "channel": "239.74.163.2"}, {}, None),
     (MULTICAST, {}, None),
     ({"interface": "virtual", "channel": GROUP}, {}, None),
-]
-
-
-@pytest.mark.parametrize(("words", "file", "port"), PORT_CASES, ids=str)
+], ids=str)  # fmt: skip
 def test_the_port_that_a_bus_is_opened_with(
     monkeypatch: pytest.MonkeyPatch,
     opened: list[Any],

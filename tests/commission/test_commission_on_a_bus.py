@@ -87,13 +87,10 @@ def test_without_write_it_proposes_and_writes_nothing(
     assert "nan" not in page.text.replace("canfb", "")
 
 
-IN_FORCE: list[dict[str, Any]] = [
+@pytest.mark.parametrize("config", [
     {"samples_per_sync": 3, "max_acceleration_rad_s2": 300.0},
     {"noise_margin": 8, "max_acceleration_rad_s2": 80.0},
-]
-
-
-@pytest.mark.parametrize("config", IN_FORCE, ids=lambda one: next(iter(one)))
+], ids=lambda one: next(iter(one)))  # fmt: skip
 def test_it_judges_by_the_limits_that_the_module_has_in_force(
     config: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:

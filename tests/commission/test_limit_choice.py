@@ -206,7 +206,7 @@ def unheard(one: TrackSamples) -> TrackSamples:
     return replace(samples, received_s=np.flatnonzero(heard) / RATE_HZ)
 
 
-REFUSED: list[tuple[Changed, bool, str]] = [
+@each("change, said, message", [
     *((partial(few, n), True, f"{n} usable samples of {n} are too few") for n in (1, 1500)),
     (lambda one: one, False, "did not report its speed"),
     (lambda one: replace(one, rate_hz=None), True, "rate of the samples is not known"),
@@ -215,10 +215,7 @@ REFUSED: list[tuple[Changed, bool, str]] = [
     (unheard, True, r"position is lost .* did not receive about \d+ SYNCs\)"),
     (lambda one: replace(one, sine=0.2 * one.sine, cosine=0.2 * one.cosine), True, "amplitude"),
     (lambda one: replace(one, sine=one.sine + np.linspace(0.0, 120.0, COUNT)), True, "the tracks change"),
-]
-
-
-@each("change, said, message", REFUSED)
+])  # fmt: skip
 def test_what_says_too_little_is_refused(change: Changed, said: bool, message: str) -> None:
     machine = fresh("quiet")
     readings, samples = machine.readings(COUNT), machine.samples(COUNT)

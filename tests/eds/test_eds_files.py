@@ -120,14 +120,13 @@ DRIVE_CONTRACT = """
 2100:05 U32 rw 10000
 2110:01 U16 rww pdo; 2110:02-03 U16 rw 1; 2110:05 U32 rw 4280320000; 2110:06 U8 rw 2
 """
-CONTRACT = [
+
+
+@each("name, line", [
     (name, line)
     for name, table in ((MODULE, MODULE_CONTRACT), (INTERFACE, INTERFACE_CONTRACT), (DRIVE, DRIVE_CONTRACT))
     for line in re.split(r"[;\n] *", table.strip())
-]
-
-
-@each("name, line", CONTRACT)
+])  # fmt: skip
 def test_the_contract_is_kept(name: str, line: str) -> None:
     place, data_type, access, *rest = line.split()
     index, _, subs = place.partition(":")

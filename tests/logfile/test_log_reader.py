@@ -103,7 +103,7 @@ def two_cut_off(length: int) -> Callable[[Lines], Lines]:
 
 
 # suffix, header, what is done to the lines, frames that are missing, damaged and empty lines
-ODD: list[tuple[str, str, Callable[[Lines], Lines], Costs]] = [
+@pytest.mark.parametrize(("suffix", "head", "change", "costs"), [
     (".log", "# machine on\n", inserted("\n"), (0, 0, 2)),
     (".log", "", lambda lines: [*lines[:5], lines[5][:24] + "\n", *lines[6:]], (1, 1, 0)),
     (".log", "", lambda lines: [*lines[:-1], lines[-1][:-3]], (1, 1, 0)),
@@ -125,10 +125,7 @@ ODD: list[tuple[str, str, Callable[[Lines], Lines], Costs]] = [
     (".trc", TRC.replace("45244.9", "45244,9"), inserted("      7      5.000 ST  1 Rx 00 00\n"), (0, 0, 0)),
     (".trc", TRC, two_cut_off(24), (2, 2, 0)),
     (".trc", TRC, lambda lines: [one.replace(".", ",", 1) for one in lines], (0, 0, 0)),
-]
-
-
-@pytest.mark.parametrize(("suffix", "head", "change", "costs"), ODD)
+])  # fmt: skip
 @pytest.mark.parametrize("form", ["cp1252", "cp1252.gz", "utf-16", "utf-16.gz"])
 def test_odd_lines_cost_themselves(
     tmp_path: Path, suffix: str, head: str, change: Callable[[Lines], Lines], costs: Costs, form: str

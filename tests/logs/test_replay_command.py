@@ -223,7 +223,7 @@ def refusal(command: Command, line: str, code: int) -> str:
     return error
 
 
-WRONG = [
+@pytest.mark.parametrize(("line", "code", "said"), [
     ("nowhere.log", 1, "nowhere.log: cannot be read: No such file or directory"),
     ("bus.xyz", 2, "unknown suffix '.xyz'; bus logs end with .asc, "),
     ("empty.log", 1, "there is no classic frame with an 11-bit identifier in it"),
@@ -237,10 +237,7 @@ WRONG = [
     ("bus.log --set 'adapt={ofset: 1}'", 2, "unknown key 'ofset' in adapt; did you mean 'offset'?"),
     ("bus.log --out x.csv --report x.csv", 2, "--out, --frames, --report: must differ, also from the log"),
     ("empty.log --frames words.asc", 1, "there is no classic frame with an 11-bit identifier in it"),
-]
-
-
-@pytest.mark.parametrize(("line", "code", "said"), WRONG)
+])  # fmt: skip
 def test_what_cannot_be_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command, line: str, code: int, said: str
 ) -> None:

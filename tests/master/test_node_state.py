@@ -157,7 +157,9 @@ def deaf_once_it_is_reset() -> Bench:
 # A millicycle to and fro, around a place where the phase wraps.
 HELD = Motion((), (Ripple(60.0 * 0.001 * 6.28 * 5.0 / CYCLES, 5.0),))
 TURNS, STARTS = Motion((), (), 0.6), Motion((Ramp(1.2, 0.0), Ramp(0.3, 20.0)))
-CASES: list[tuple[Callable[[], Bench], tuple[str, ...], str]] = [
+
+
+@pytest.mark.parametrize(("made", "options", "words"), [
     (lambda: running(motion=HELD), (), "position valid"),
     (lambda: running(motion=STILL), ("--force",), "machine not looked at"),
     (lambda: running(motion=TURNS), ("--force",), "reset and started, but its position is lost"),
@@ -168,10 +170,7 @@ CASES: list[tuple[Callable[[], Bench], tuple[str, ...], str]] = [
     (deaf_once_it_is_reset, (), "done: node 32 (20h) is reset and started; but then node 32"),
     (silent, (), "so it is not known whether the machine stands still"),
     (at_a_whole_cycle, (), "the machine moves, it has moved by +"),
-]
-
-
-@pytest.mark.parametrize(("made", "options", "words"), CASES)
+])  # fmt: skip
 def test_what_is_said_of_a_reset(
     canfb: Commands, made: Callable[[], Bench], options: tuple[str, ...], words: str
 ) -> None:

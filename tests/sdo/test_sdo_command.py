@@ -84,7 +84,7 @@ def test_bits_and_states_in_words(canfb: Commands) -> None:
     assert in_words("another product", (0x1001, 0), 0x11) == "generic, communication"
 
 
-WRITES = [
+@pytest.mark.parametrize(("text", "value", "data"), [
     ("samples to coast", "0x10", b"\x10"),
     ("largest acceleration", "12.5 rad/s^2", b"\x00\x00\x48\x41"),
     ("residual limit", "0.25", b"\x00\x40"),
@@ -94,10 +94,7 @@ WRITES = [
     ("2002:01", "-.325e1", b"\x00\x00\x50\xc0"),
     ("cam 1 low", "-77", b"\xb3\xff\xff\xff"),
     ("1017", "500", b"\xf4\x01"),
-]
-
-
-@pytest.mark.parametrize(("text", "value", "data"), WRITES)
+])  # fmt: skip
 def test_the_canopen_client_reads_what_was_written(
     canfb: Commands, bench: Bench, text: str, value: str, data: bytes
 ) -> None:
@@ -135,7 +132,7 @@ def test_for_programs(canfb: Commands, bench: Bench) -> None:
     assert (said["before"]["value"], said["now"]["value"], said["written"]["value"]) == (3, 9, 9)
 
 
-WRONG = [
+@pytest.mark.parametrize(("arguments", "words"), [
     (("read", "resid"), "'resid' means several objects: 2010:01 Supervision: Residual limit, 2011:02"),
     (("read", "command"), "'command' means several objects: 2030:01 Reference measurement in the module"),
     (("read", "largest amplitude"), "has no object of this name; did you mean 2001:03 Encoder and ADC"),
@@ -156,10 +153,7 @@ WRONG = [
     (("write", "2020:01", "xyz"), "must be bytes in hexadecimal such as 01FF, not 'xyz'"),
     (("write", "2010:03"), "a VALUE or --file FILE is required, one of them"),
     (("write", "2010:03", "--file", __file__), "Samples to coast: UNSIGNED8 has 1 bytes, not"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "words"), WRONG)
+])  # fmt: skip
 def test_wrong_use_is_one_line_and_writes_nothing(
     canfb: Commands, bench: Bench, arguments: tuple[str, ...], words: str
 ) -> None:

@@ -236,7 +236,9 @@ def test_the_counts_of_a_fault(
 
 
 Tracks = Callable[[np.ndarray, np.ndarray], bool]
-RANDOM: list[tuple[Fault, Tracks]] = [
+
+
+@each("fault, holds", [
     (faults.open_track(Signal.COSINE, 5.0), lambda s, c: 4.7 < c.std() < 5.3),
     (more.excess_noise(Signal.BOTH, 100.0), lambda s, c: 95.0 < s.std() < 105.0),
     (more.excess_noise(Signal.BOTH, 100.0), lambda s, c: abs(np.corrcoef(s, c)[0, 1]) < 0.1),
@@ -244,10 +246,7 @@ RANDOM: list[tuple[Fault, Tracks]] = [
     (more.phase_glitch(1500.0), lambda s, c: len(set(zip(s > 0, c > 0, strict=True))) == 4),
     (more.phase_glitch(1500.0, common=True), lambda s, c: len(set(s.tolist())) == 1),
     (more.count_glitch(), lambda s, c: s.min() < -2000 and s.max() > 2000),
-]
-
-
-@each("fault, holds", RANDOM)
+])  # fmt: skip
 def test_the_counts_of_a_random_fault(fault: Fault, holds: Tracks) -> None:
     after = injected(fault, Samples.of([0] * 5000, [1500] * 5000), 0, 5000)
     assert holds(after.sine, after.cosine)

@@ -12,8 +12,9 @@ from canfb.simulation.encoder import Encoder
 from canfb.simulation.faults import Samples
 from folding import each
 
+
 # What is built, with which arguments besides, the argument that cannot be, its values, and what is said.
-REFUSED: list[tuple[Any, dict[str, Any], str, list[Any], str]] = [
+@each("build, others, name, values, message", [
     (Encoder, {}, "adc_bits", [3, 17, 12.0, True], r"adc_bits must be a whole number 4\.\.16"),
     (Encoder, {}, "noise_lsb", [-0.1, math.nan, math.inf], "noise_lsb must be a number"),
     (Samples.of, {"sine": [1, 2]}, "cosine", [[1]], "one length"),
@@ -31,10 +32,7 @@ REFUSED: list[tuple[Any, dict[str, Any], str, list[Any], str]] = [
     (DriveConfig, {}, "motor_increments", [-1, 2**32], "motor_increments"),
     (DriveConfig, {}, "slip_revolutions", [1001.0, math.nan], "slip_revolutions"),
     (DriveConfig, {}, "slip_at_s", [-1.0], "slip_at_s"),
-]
-
-
-@each("build, others, name, values, message", REFUSED)
+])  # fmt: skip
 def test_what_cannot_be_is_refused(
     build: Any, others: dict[str, Any], name: str, values: list[Any], message: str
 ) -> None:

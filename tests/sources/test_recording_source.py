@@ -31,7 +31,7 @@ def test_rows_are_played_in_order_and_then_it_ends(tmp_path: Path) -> None:
 
 
 # What a file may look like, and the pairs and the note that come of it.
-READ: list[tuple[str | bytes, RecordingLayout, list[tuple[float, float]], str]] = [
+@pytest.mark.parametrize(("text", "layout", "pairs", "note"), [
     ("t, a ,b\n0,1,2\n", AB, [(1, 2)], ""),
     ("t, a ,b\n0,1,2\n", RecordingLayout(("1", "2")), [(1, 2)], ""),
     ("1,0,2\n7,8,9\n", RecordingLayout(("1", "0")), [(7, 8)], ""),  # a name goes before a number
@@ -46,10 +46,7 @@ READ: list[tuple[str | bytes, RecordingLayout, list[tuple[float, float]], str]] 
     ("sep=;\na;b\n1;2\n", AB, [(1, 2)], ", separated by semicolon"),
     ("sep=|\na|b\n1|2\n", AB, [(1, 2)], ", separated by |"),
     ('a,b\n"100,5",2\n', AB, [(100, 2)], ""),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("text", "layout", "pairs", "note"), READ)
+])  # fmt: skip
 def test_files_as_spreadsheets_and_instruments_write_them(
     tmp_path: Path, text: str | bytes, layout: RecordingLayout, pairs: list[tuple[float, float]], note: str
 ) -> None:

@@ -41,7 +41,7 @@ def source_of(text: str, module: str = "") -> SourceConfig | None:
     return config.modules[0].source
 
 
-RIGHT = [
+@each("text", [
     "{kind: motion}",
     "{kind: motion, rate_hz: 500}",
     "{kind: recording, file: tracks.csv}",
@@ -51,10 +51,7 @@ RIGHT = [
     "{kind: iio, device: ads7950}",
     "{kind: iio, device: x, uri: 'ip:10.0.0.1', sine: voltage2, cosine: voltage3, mid_scale: 2048, "
     "trigger: t0, rate_hz: 4000, time_stamps: false, buffer_scans: 32, wait_us: 500}",
-]
-
-
-@each("text", RIGHT)
+])  # fmt: skip
 def test_what_is_right_loads(text: str) -> None:
     keys = yaml.safe_load(text)
     assert source_of(text) == source_kinds()[keys["kind"]](**keys)

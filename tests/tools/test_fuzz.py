@@ -140,7 +140,7 @@ def test_a_server_that_is_stuck_is_found(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 # request, answer, what is wrong; the answers before are right
-EXCHANGES = [
+@pytest.mark.parametrize(("request_", "answer", "text"), [
     ("4000100000000000", "43001000960104", "an answer of 7 bytes"),
     ("4000100000000000", "8000100001000605", "unknown abort code 05060001h"),
     ("4000100000000000", "4301100096010400", "about another object"),
@@ -154,10 +154,7 @@ EXCHANGES = [
     ("C620200100000000", "A120200100000000", "reserved bytes set"),
     ("A02020017F000000", "C220210100000000", "about another object"),
     ("8020200100000000", "8020200100000005", "one answer too many"),
-]
-
-
-@pytest.mark.parametrize(("request_", "answer", "text"), EXCHANGES)
+])  # fmt: skip
 def test_a_wrong_answer_is_found(request_: str, answer: str, text: str) -> None:
     watcher = SdoWatcher()
     watcher.request(bytes.fromhex(request_))
