@@ -46,7 +46,7 @@ def test_a_move(capsys: pytest.CaptureFixture[str]) -> None:
     assert_all_quiet(network)
 
 
-def test_the_trace_has_a_line_for_each_sync(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_trace_has_a_line_for_each_sync(tmp_path: Path) -> None:
     network, path = DriveNetwork(), tmp_path / "moves.csv"
     network.at[2.0] = lambda: network.bus.send(Frame(0, bytes([2, 0x10])))  # a trace of a fault, above all
     with pytest.raises(axis.FaultError):
@@ -81,9 +81,7 @@ def test_check_finds_what_differs_and_nothing_after_a_run(capsys: pytest.Capture
         (bytes([2, 0x30]), "drive .*: no longer OPERATIONAL, NMT state 4|waited .* to answer the SYNC"),
     ],
 )
-def test_a_node_that_fails_in_a_move_ends_it(
-    command: bytes, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_node_that_fails_in_a_move_ends_it(command: bytes, message: str) -> None:
     network = DriveNetwork()
     network.at[1.5] = lambda: network.bus.send(Frame(0, command))
     with pytest.raises(axis.FaultError, match=message):
@@ -135,9 +133,7 @@ def test_a_master_that_dies_stops_the_drive() -> None:
     assert network.module.state is NmtState.OPERATIONAL  # it does not watch the master
 
 
-def test_a_start_that_fails_undoes_the_configuration(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_start_that_fails_undoes_the_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     network = DriveNetwork()
     receive = network.drive.receive
     lost = Frame(0, bytes([1, 0x30]))

@@ -376,7 +376,7 @@ def kill_first(job: LogJob, settings: ReplayOptions) -> list[LogRow]:
 
 
 def test_of_two_processes_the_one_that_is_killed_costs_its_log(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = do_work(*work_of(folder, SETTINGS, None), SETTINGS, None, 1)
     monkeypatch.setattr(log_replay, "rows_of", kill_first)
