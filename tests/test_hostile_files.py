@@ -18,6 +18,7 @@ from canfb.signal.correction import Correction, CorrectionTable
 from canfb.sources import sample_files
 from canfb.sources.recording_source import RecordingLayout, open_recording
 from commands import yaml_file
+from folding import each
 
 LISTS = [f"&b{n} [{', '.join([f'*b{n - 1}' if n else '0.5'] * 9)}]" for n in range(9)]
 BOMB = "x:\n" + "".join(f"- {one}\n" for one in LISTS)
@@ -46,14 +47,11 @@ def test_a_whole_number_that_is_no_float() -> None:
         parse_config(f"modules:\n- node_id: 1\n  source: {source}\n")
 
 
-@pytest.mark.parametrize(
-    "setting",
-    [
-        *("conditioning={sine_offset_counts: " + "9" * 5000 + "}", "node\nid=1", "x" * 5000),
-        *("residual_limit='" + "1" * 5000 + "'", "times=!!bool 7", f"adapt=[{'[' * 3000}"),
-        *("node_id=!!int ''", "write_lock=\udcff"),
-    ],
-)
+@each("setting", [
+    *("conditioning={sine_offset_counts: " + "9" * 5000 + "}", "node\nid=1", "x" * 5000),
+    *("residual_limit='" + "1" * 5000 + "'", "times=!!bool 7", f"adapt=[{'[' * 3000}"),
+    *("node_id=!!int ''", "write_lock=\udcff"),
+])  # fmt: skip
 def test_a_setting_that_cannot_be_is_one_line(setting: str) -> None:
     with pytest.raises(ConfigError) as raised:
         changed_module(ModuleConfig(node_id=1), [setting])
@@ -81,19 +79,15 @@ NEWER = GOOD.replace(b"PK\x03\x04\x14", b"PK\x03\x04\x65").replace(
 )
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        *(GOOD[:300] + bytes(8) + GOOD[308:], NEWER),
-        packed(sine=array(1).replace(b"}", b"("), cosine=array(1)),
-        packed(sine=array(1).replace(b"(1,)", b"(10000000000000,)"), cosine=array(1)),
-        packed(**{"co\nsine": array(1), "sine": array(1)}),
-        packed(sine=array(1), cosine=array(1), rate_hz=array(1, 2)),
-        packed(sine=array(1), cosine=array(1), rate_hz=array(np.nan).replace(b"(1,)", b"()  ")),
-        array(1),
-    ],
-    ids=["deflate", "version", "header", "shape", "name", "rate", "NaN Hz", "no ZIP"],
-)
+@each("data", [
+    *(GOOD[:300] + bytes(8) + GOOD[308:], NEWER),
+    packed(sine=array(1).replace(b"}", b"("), cosine=array(1)),
+    packed(sine=array(1).replace(b"(1,)", b"(10000000000000,)"), cosine=array(1)),
+    packed(**{"co\nsine": array(1), "sine": array(1)}),
+    packed(sine=array(1), cosine=array(1), rate_hz=array(1, 2)),
+    packed(sine=array(1), cosine=array(1), rate_hz=array(np.nan).replace(b"(1,)", b"()  ")),
+    array(1),
+])  # fmt: skip
 def test_a_recording_that_is_none(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "a.npz"
     path.write_bytes(data)

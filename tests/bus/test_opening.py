@@ -141,19 +141,15 @@ def test_the_port_that_a_bus_is_opened_with(
     assert opened[0].get("port") == port
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        ({"interface": "socketcan", "channel": "can0", "bitrate": 1}, "socketcan can0"),
-        ({"channel": "can0"}, "can0"),
-        ({}, "of python-can's configuration"),
-        ({"interface": None}, "of python-can's configuration"),
-        ({"interface": "udp_multicast", "channel": GROUP}, f"udp_multicast {GROUP} port {PORTS[GROUP]}"),
-        ({"interface": "udp_multicast", "channel": GROUP, "port": 5000}, f"udp_multicast {GROUP}"),
-        ({"interface": "udp_multicast", "channel": "239.74.163.2"}, "udp_multicast 239.74.163.2"),
-    ],
-    ids=str,
-)
+@each("words, text", [
+    ({"interface": "socketcan", "channel": "can0", "bitrate": 1}, "socketcan can0"),
+    ({"channel": "can0"}, "can0"),
+    ({}, "of python-can's configuration"),
+    ({"interface": None}, "of python-can's configuration"),
+    ({"interface": "udp_multicast", "channel": GROUP}, f"udp_multicast {GROUP} port {PORTS[GROUP]}"),
+    ({"interface": "udp_multicast", "channel": GROUP, "port": 5000}, f"udp_multicast {GROUP}"),
+    ({"interface": "udp_multicast", "channel": "239.74.163.2"}, "udp_multicast 239.74.163.2"),
+])  # fmt: skip
 def test_a_bus_in_a_few_words(words: dict[str, Any], text: str) -> None:
     assert describe(words) == text
 

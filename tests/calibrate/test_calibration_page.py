@@ -24,6 +24,7 @@ from canfb.sdo.tables import read_table
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.supervision import SampleLimits
+from folding import each
 from html_page import Page
 
 WHERE = Provenance(
@@ -184,18 +185,15 @@ def test_a_spike_of_the_coverage_is_said(measured: Measurement) -> None:
     assert "spiky" not in report_html(measured, Installation(), WHERE)
 
 
-@pytest.mark.parametrize(
-    ("ratio", "scatter", "words"),
-    [
-        (0.66, 0.3, "0.66 ± 0.20 times the Cramér-Rao bound: as small as these samples allow"),
-        (1.3, 0.15, "1.30 ± 0.20 times the Cramér-Rao bound: as small as these samples allow"),
-        (
-            3.0,
-            0.15,
-            "3.00 ± 0.45 times the Cramér-Rao bound: more than the noise of the converter; motion or ",
-        ),
-    ],
-)
+@each("ratio, scatter, words", [
+    (0.66, 0.3, "0.66 ± 0.20 times the Cramér-Rao bound: as small as these samples allow"),
+    (1.3, 0.15, "1.30 ± 0.20 times the Cramér-Rao bound: as small as these samples allow"),
+    (
+        3.0,
+        0.15,
+        "3.00 ± 0.45 times the Cramér-Rao bound: more than the noise of the converter; motion or ",
+    ),
+])  # fmt: skip
 def test_a_ratio_below_one_is_chance_and_one_far_above_is_not(
     measured: Measurement, ratio: float, scatter: float, words: str
 ) -> None:

@@ -22,6 +22,7 @@ from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero
 from canfb.calibration.result import Calibration, Reason
 from canfb.signal.phase import FloatArray, raw_phases
 from canfb.simulation.encoder import Encoder, Harmonic
+from folding import each
 
 
 def _time(seconds: float) -> FloatArray:
@@ -287,15 +288,12 @@ def test_table_is_better_than_the_papers(kind, goal, seed):
     assert result.before_rms > 20.0 * result.residual_rms
 
 
-@pytest.mark.parametrize(
-    ("sign", "seconds", "back", "faults", "goal", "cycles"),
-    [
-        (1.0, 0.06, 0, 0, 0.02, range(20, 25)),
-        (1.0, 0.5, 8000, 0, 0.005, range(290, 310)),
-        (-1.0, 0.5, 8000, 0, 0.005, range(290, 310)),
-        (1.0, 0.5, 0, 60, 0.005, range(165, 185)),
-    ],
-)
+@each("sign, seconds, back, faults, goal, cycles", [
+    (1.0, 0.06, 0, 0, 0.02, range(20, 25)),
+    (1.0, 0.5, 8000, 0, 0.005, range(290, 310)),
+    (-1.0, 0.5, 8000, 0, 0.005, range(290, 310)),
+    (1.0, 0.5, 0, 60, 0.005, range(165, 185)),
+])  # fmt: skip
 def test_few_cycles_are_enough_and_reversals_and_faults_left_out(sign, seconds, back, faults, goal, cycles):
     rng = np.random.default_rng(7)
     encoder = random_encoder(rng, 0.5)

@@ -13,6 +13,7 @@ from canfb.cli import completion
 from canfb.cli.commands import COMMANDS
 from canfb.cli.completion import asked_words, can_interfaces
 from canfb.cli.main import main
+from folding import each
 from processes import python
 from tools.site.reference import COMMANDS_TEXT
 
@@ -92,16 +93,13 @@ def test_channels_are_the_can_interfaces(tmp_path: Path, monkeypatch: pytest.Mon
     assert can_interfaces() == []
 
 
-@pytest.mark.parametrize(
-    ("environment", "words"),
-    [
-        ({"COMP_LINE": "canfb run x", "COMP_POINT": "9", "_ARGCOMPLETE": "1"}, ["run"]),
-        ({"COMP_LINE": "python3 -m canfb run", "COMP_POINT": "20", "_ARGCOMPLETE": "3"}, ["run"]),
-        ({"COMP_LINE": "canfb", "COMP_POINT": "5", "_ARGCOMPLETE": "1"}, []),
-        ({"COMP_LINE": "canfb run 'a", "COMP_POINT": "?", "_ARGCOMPLETE": "?"}, ["run", "'a"]),
-        ({}, []),
-    ],
-)
+@each("environment, words", [
+    ({"COMP_LINE": "canfb run x", "COMP_POINT": "9", "_ARGCOMPLETE": "1"}, ["run"]),
+    ({"COMP_LINE": "python3 -m canfb run", "COMP_POINT": "20", "_ARGCOMPLETE": "3"}, ["run"]),
+    ({"COMP_LINE": "canfb", "COMP_POINT": "5", "_ARGCOMPLETE": "1"}, []),
+    ({"COMP_LINE": "canfb run 'a", "COMP_POINT": "?", "_ARGCOMPLETE": "?"}, ["run", "'a"]),
+    ({}, []),
+])  # fmt: skip
 def test_words_up_to_the_cursor(environment: dict[str, str], words: list[str]) -> None:
     assert asked_words(environment) == words
 

@@ -26,6 +26,7 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from commands import Command, yaml_file
 from commissioning_kit import TABLE
 from documentation import blocks, commands, page
+from folding import each
 from tools.soak.embedded_master import EmbeddedMaster
 
 
@@ -302,22 +303,19 @@ def test_what_cannot_be_on_this_machine(
     assert checked(text) == WRONG[text]
 
 
-@pytest.mark.parametrize(
-    "bus",
-    [
-        "{}",
-        "{channel: can0, bitrate: 500000}",
-        "{interface: socketcan, channel: can0, local_loopback: false}",
-        "{interface: kvaser, channel: 0, bitrate: 500000, accept_virtual: true}",
-        "{interface: pcan, channel: PCAN_USBBUS1, fd: true, f_clock_mhz: 80, nom_brp: 1, auto_reset: true}",
-        "{interface: slcan, channel: /dev/ttyUSB0, bitrate: 1000000, tty_baudrate: 115200}",
-        "{interface: ixxat, channel: 0, bitrate: 1000000, unique_hardware_id: HW1}",
-        "{interface: gs_usb, channel: 0, bus: 1, address: 2, bitrate: 1000000}",
-        "{interface: vector, channel: 0, app_name: CANalyzer, bitrate: 1000000}",
-        "{interface: socketcand, channel: can0, host: localhost, port: 29536}",
-        "{interface: udp_multicast, channel: 239.74.163.2, hop_limit: 1}",
-    ],
-)
+@each("bus", [
+    "{}",
+    "{channel: can0, bitrate: 500000}",
+    "{interface: socketcan, channel: can0, local_loopback: false}",
+    "{interface: kvaser, channel: 0, bitrate: 500000, accept_virtual: true}",
+    "{interface: pcan, channel: PCAN_USBBUS1, fd: true, f_clock_mhz: 80, nom_brp: 1, auto_reset: true}",
+    "{interface: slcan, channel: /dev/ttyUSB0, bitrate: 1000000, tty_baudrate: 115200}",
+    "{interface: ixxat, channel: 0, bitrate: 1000000, unique_hardware_id: HW1}",
+    "{interface: gs_usb, channel: 0, bus: 1, address: 2, bitrate: 1000000}",
+    "{interface: vector, channel: 0, app_name: CANalyzer, bitrate: 1000000}",
+    "{interface: socketcand, channel: can0, host: localhost, port: 29536}",
+    "{interface: udp_multicast, channel: 239.74.163.2, hop_limit: 1}",
+])  # fmt: skip
 def test_what_may_be(bus: str, tmp_path: Path, checked: Callable[..., str]) -> None:
     folder = tmp_path / "new" / "state"
     text = f"bus: {bus}\n{MODULES}    state_dir: {folder}\n  - node_id: 127\nrealtime: {{cpu: 0}}\n"

@@ -21,6 +21,7 @@ from canfb.simulation.set_up import Play, SimulatedNetwork, set_up, simulated_ax
 from canfb.sources.recording_source import RecordingSource
 from commands import Command, yaml_file
 from documentation import blocks, page
+from folding import each
 
 CHANNEL = "canfb-simulate"
 CONFIG = f"""\
@@ -49,15 +50,12 @@ def opened(arguments: list[str]) -> MotionSource | RecordingSource:
     return source
 
 
-@pytest.mark.parametrize(
-    ("options", "cycles"),
-    [
-        ([], 0.25),  # 6 rpm, 2500 cycles, 1 kHz
-        (["--rpm", "60"], 2.5),
-        (["--rate", "100"], 2.5),
-        (["0x21"], 0.01),
-    ],
-)
+@each("options, cycles", [
+    ([], 0.25),  # 6 rpm, 2500 cycles, 1 kHz
+    (["--rpm", "60"], 2.5),
+    (["--rate", "100"], 2.5),
+    (["0x21"], 0.01),
+])  # fmt: skip
 def test_speed_rate_and_module_move_the_machine(options: list[str], cycles: float, config: str) -> None:
     source = opened([config, *options])
     assert isinstance(source, MotionSource)

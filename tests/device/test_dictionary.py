@@ -12,6 +12,7 @@ from canfb.cia301.datatypes import DataType
 from canfb.device.od import eds
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.eds_files import eds_path
+from folding import each
 
 
 @pytest.fixture
@@ -51,17 +52,14 @@ def test_what_is_there_and_what_is_missing(dictionary: Dictionary) -> None:
     assert abort_of(dictionary.lookup, 0x1003, 5) is AbortCode.NO_SUBINDEX
 
 
-@pytest.mark.parametrize(
-    ("index", "data", "code"),
-    [
-        (0x2027, b"\xf5\xff", AbortCode.VALUE_TOO_LOW),
-        (0x2027, b"\x0b\x00", AbortCode.VALUE_TOO_HIGH),
-        (0x2023, bytes.fromhex("00002140"), None),
-        (0x2023, bytes.fromhex("0000F040"), AbortCode.VALUE_TOO_HIGH),
-        (0x2023, bytes.fromhex("000030C0"), AbortCode.VALUE_TOO_LOW),
-        (0x2023, bytes.fromhex("0000C07F"), AbortCode.INVALID_VALUE),
-    ],
-)
+@each("index, data, code", [
+    (0x2027, b"\xf5\xff", AbortCode.VALUE_TOO_LOW),
+    (0x2027, b"\x0b\x00", AbortCode.VALUE_TOO_HIGH),
+    (0x2023, bytes.fromhex("00002140"), None),
+    (0x2023, bytes.fromhex("0000F040"), AbortCode.VALUE_TOO_HIGH),
+    (0x2023, bytes.fromhex("000030C0"), AbortCode.VALUE_TOO_LOW),
+    (0x2023, bytes.fromhex("0000C07F"), AbortCode.INVALID_VALUE),
+])  # fmt: skip
 def test_refused_values(dictionary: Dictionary, index: int, data: bytes, code: AbortCode | None) -> None:
     entry = dictionary.entry(index)
     before = entry.value
@@ -93,24 +91,21 @@ def test_compact_arrays_are_expanded(tmp_path: Path) -> None:
     assert [entry.subindex for entry in dictionary] == [*range(13)]
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (variable("2100", 5, DefaultValue="many"), "DefaultValue"),
-        (variable("2100", 5, DefaultValue="256"), r"\[2100\]"),
-        (variable("2100", 5, DefaultValue="3", LowLimit="4"), "too low"),
-        (variable("2100", 5, AccessType="rx"), r"\[2100\] AccessType 'rx'"),
-        (variable("2100", 8, LowLimit="half"), r"\[2100\] LowLimit"),
-        (variable("2100", 8, HighLimit="0x1FFFFFFFF"), r"\[2100\] HighLimit"),
-        (variable("2100", 8, HighLimit="nan"), r"\[2100\] HighLimit"),
-        (variable("2100", 5, DefaultValue="09"), r"\[2100\] DefaultValue"),
-        (variable("2100", 5, ObjectType="4"), r"\[2100\] ObjectType"),
-        (variable("2100", 0x17), r"\[2100\] DataType: unknown data type 0x0017"),
-        ("[2100]\nParameterName=x\nObjectType=8\nCompactSubObj=300\nDataType=5\n", "CompactSubObj"),
-        ("[2100]\nParameterName=x\n", r"\[2100\] DataType is missing"),
-        ("no section\n", "not an EDS"),
-    ],
-)
+@each("text, message", [
+    (variable("2100", 5, DefaultValue="many"), "DefaultValue"),
+    (variable("2100", 5, DefaultValue="256"), r"\[2100\]"),
+    (variable("2100", 5, DefaultValue="3", LowLimit="4"), "too low"),
+    (variable("2100", 5, AccessType="rx"), r"\[2100\] AccessType 'rx'"),
+    (variable("2100", 8, LowLimit="half"), r"\[2100\] LowLimit"),
+    (variable("2100", 8, HighLimit="0x1FFFFFFFF"), r"\[2100\] HighLimit"),
+    (variable("2100", 8, HighLimit="nan"), r"\[2100\] HighLimit"),
+    (variable("2100", 5, DefaultValue="09"), r"\[2100\] DefaultValue"),
+    (variable("2100", 5, ObjectType="4"), r"\[2100\] ObjectType"),
+    (variable("2100", 0x17), r"\[2100\] DataType: unknown data type 0x0017"),
+    ("[2100]\nParameterName=x\nObjectType=8\nCompactSubObj=300\nDataType=5\n", "CompactSubObj"),
+    ("[2100]\nParameterName=x\n", r"\[2100\] DataType is missing"),
+    ("no section\n", "not an EDS"),
+])  # fmt: skip
 def test_an_impossible_file_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         load_text(tmp_path, text)

@@ -190,15 +190,12 @@ def test_what_can_be_mapped(bench: Bench, index: int, expected: AbortCode | str,
     assert bench.read(index + 0x200, 1) == (mapping if expected == OK else before)
 
 
-@pytest.mark.parametrize(
-    "rows",
-    [
-        sample_eds.rpdo(1, "0x190", 255, [0x2FFF0110]),
-        sample_eds.rpdo(1, "0x190", 255, [0x20100120]),
-        sample_eds.tpdo(1, "0x1A0", 255, [0x20100120] * 3),
-        [row for row in sample_eds.rpdo(1, "0x190", 255, [0x20000110] * 2) if row[:2] != (0x1600, 2)][:-6],
-    ],
-)
+@each("rows", [
+    sample_eds.rpdo(1, "0x190", 255, [0x2FFF0110]),
+    sample_eds.rpdo(1, "0x190", 255, [0x20100120]),
+    sample_eds.tpdo(1, "0x1A0", 255, [0x20100120] * 3),
+    [row for row in sample_eds.rpdo(1, "0x190", 255, [0x20000110] * 2) if row[:2] != (0x1600, 2)][:-6],
+])  # fmt: skip
 def test_an_impossible_default_mapping(tmp_path: Path, rows: list[sample_eds.Row]) -> None:
     others = [row for row in sample_eds.ROWS if row[0] >= 0x2000]
     path = sample_eds.write(tmp_path / "sample.eds", rows + others)

@@ -9,6 +9,7 @@ from network_bench import MODULE_ID, TEXT, Network, write
 
 from canfb.cia301.codes import NmtState
 from canfb.device.storage.storage import MemoryStore
+from folding import each
 
 
 def test_a_whole_file(tmp_path: Path) -> None:
@@ -29,56 +30,53 @@ def test_a_whole_file(tmp_path: Path) -> None:
     assert off == [0x1401, 0x1402, 0x1403, 0x1801, 0x1802, 0x1803], "without a link"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("node_id: 0x21", "node-id: 0x21", "nodes[1]: unknown key 'node-id'; known: eds, expect"),
-        ("    node_id: 0x21\n", "", "nodes[1]: 'node_id' is missing"),
-        ("node_id: 0x21", "node_id: 128", "nodes[1].node_id: a whole number 1 to 127 is required, not 128"),
-        ("node_id: 0x21", "node_id: 0x11", "nodes[1].node_id: node-ID 17 is also that of interface"),
-        ("node_id: 0x21", "node_id: 1", "nodes[1].node_id: node-ID 1 is also that of master"),
-        ("name: module", "name: interface", "nodes[1].name: the name 'interface' is taken"),
-        ("name: module", "name: master", "nodes[1].name: the name 'master' is taken"),
-        ("canfb-module.eds", "other.eds", "No such file or directory"),
-        ("canfb-module.eds", "..", "is not an EDS file"),
-        ("2001:01: 1024", "2001:01: 1024.5", "2001:01: 1024.5 does not fit the data type 0007h"),
-        ("2001:01: 1024", "2001:01: -1", "Cycles per revolution"),
-        (
-            "2001:01: 1024",
-            "2001:99: 1024",
-            "nodes[1].parameters.2001:99: the EDS of module has no such object",
-        ),
-        ("2001:01: 1024", "2011:01: 1", "2011h is read only (ro)"),
-        ("6002: 0x40000000", "6000: 4", "this key appears twice"),
-        ("6002: 0x40000000", "6000:00: 4", "6000:00 is set twice"),
-        ("2001:01: 1024", "1017: 100", "1017h is set by the key 'heartbeat_ms'"),
-        ("2001:01: 1024", "1800:02: 1", "1800h is set by the key 'links'"),
-        ("2001:01: 1024", "2020:01: 1", "1 does not fit the data type 000Fh"),
-        ("interface: 300", "drive: 300", "nodes[1].watches.drive: there is no node 'drive'"),
-        ("interface: 300", "interface: 0", "a whole number 1 to 65535 is required, not 0"),
-        ("cob_id: 0x1A1", "cob_id: 0x191", "links[1].cob_id: 191h is also that of 'ADC counts'"),
-        ("cob_id: 0x1A1", "cob_id: 0x1A100", "a whole number 385 to 1407 is required"),
-        ("cob_id: 0x1A1", "cob_id: 1A1h", "a whole number 385 to 1407 is required, not '1A1h'"),
-        ("node: module, tpdo: 1", "node: drive, tpdo: 1", "links[1].from.node: there is no node 'drive'"),
-        ("node: module, tpdo: 1", "node: module, tpdo: 9", "module has none in its EDS: 1808h"),
-        ("node: module, tpdo: 1", "node: interface, tpdo: 1", "interface has it in another link: 1800h"),
-        ("type: 254", "type: 250", "250 is not a transmission type of a TPDO"),
-        ("type: 255", "type: 252", "252 is not a transmission type of a RPDO"),
-        ("[6004, 2011:01]", "[60E4, 2011:01]", "links[1].from.map[0]: the EDS of module has no 60E4"),
-        ("[6004, 2011:01]", "[6001, 2011:01]", "6001 of module cannot be mapped"),
-        ("[6004, 2011:01]", "[6008, 2011:01]", "80 bits are mapped; must be 1 to 64"),
-        ("[6004, 2011:01]", "[]", "0 bits are mapped"),
-        ("[6004, 2011:01]", "[0006]", "0006 of module cannot be mapped in this direction"),
-        ("[2000:01, 2000:02]", "[2000:01]", "links[0].to[0]: takes 16 bits, 32 are sent"),
-        ("[2000:01, 2000:02]", "[2011:01, 0006]", "2011:01 of module cannot be mapped in this direction"),
-        ("inhibit_100us: 5", "timeout_ms: 5", "unknown key 'timeout_ms'"),
-        ("[interface, module]", "[module]", "start: must list each node once: interface, module"),
-        ("sync_period_us: 10000", "sync_period_us: 10", "a whole number 100 to 10000000 is required"),
-        ("sync_period_us: 10000\n", "", "'sync_period_us' is missing"),
-        ("start: [interface, module]", "start: [interface", "no YAML"),
-        ("bus: {interface: socketcan, channel: vcan0}", "bus: can0", "a mapping, key: value, is required"),
-    ],
-)
+@each("old, new, message", [
+    ("node_id: 0x21", "node-id: 0x21", "nodes[1]: unknown key 'node-id'; known: eds, expect"),
+    ("    node_id: 0x21\n", "", "nodes[1]: 'node_id' is missing"),
+    ("node_id: 0x21", "node_id: 128", "nodes[1].node_id: a whole number 1 to 127 is required, not 128"),
+    ("node_id: 0x21", "node_id: 0x11", "nodes[1].node_id: node-ID 17 is also that of interface"),
+    ("node_id: 0x21", "node_id: 1", "nodes[1].node_id: node-ID 1 is also that of master"),
+    ("name: module", "name: interface", "nodes[1].name: the name 'interface' is taken"),
+    ("name: module", "name: master", "nodes[1].name: the name 'master' is taken"),
+    ("canfb-module.eds", "other.eds", "No such file or directory"),
+    ("canfb-module.eds", "..", "is not an EDS file"),
+    ("2001:01: 1024", "2001:01: 1024.5", "2001:01: 1024.5 does not fit the data type 0007h"),
+    ("2001:01: 1024", "2001:01: -1", "Cycles per revolution"),
+    (
+        "2001:01: 1024",
+        "2001:99: 1024",
+        "nodes[1].parameters.2001:99: the EDS of module has no such object",
+    ),
+    ("2001:01: 1024", "2011:01: 1", "2011h is read only (ro)"),
+    ("6002: 0x40000000", "6000: 4", "this key appears twice"),
+    ("6002: 0x40000000", "6000:00: 4", "6000:00 is set twice"),
+    ("2001:01: 1024", "1017: 100", "1017h is set by the key 'heartbeat_ms'"),
+    ("2001:01: 1024", "1800:02: 1", "1800h is set by the key 'links'"),
+    ("2001:01: 1024", "2020:01: 1", "1 does not fit the data type 000Fh"),
+    ("interface: 300", "drive: 300", "nodes[1].watches.drive: there is no node 'drive'"),
+    ("interface: 300", "interface: 0", "a whole number 1 to 65535 is required, not 0"),
+    ("cob_id: 0x1A1", "cob_id: 0x191", "links[1].cob_id: 191h is also that of 'ADC counts'"),
+    ("cob_id: 0x1A1", "cob_id: 0x1A100", "a whole number 385 to 1407 is required"),
+    ("cob_id: 0x1A1", "cob_id: 1A1h", "a whole number 385 to 1407 is required, not '1A1h'"),
+    ("node: module, tpdo: 1", "node: drive, tpdo: 1", "links[1].from.node: there is no node 'drive'"),
+    ("node: module, tpdo: 1", "node: module, tpdo: 9", "module has none in its EDS: 1808h"),
+    ("node: module, tpdo: 1", "node: interface, tpdo: 1", "interface has it in another link: 1800h"),
+    ("type: 254", "type: 250", "250 is not a transmission type of a TPDO"),
+    ("type: 255", "type: 252", "252 is not a transmission type of a RPDO"),
+    ("[6004, 2011:01]", "[60E4, 2011:01]", "links[1].from.map[0]: the EDS of module has no 60E4"),
+    ("[6004, 2011:01]", "[6001, 2011:01]", "6001 of module cannot be mapped"),
+    ("[6004, 2011:01]", "[6008, 2011:01]", "80 bits are mapped; must be 1 to 64"),
+    ("[6004, 2011:01]", "[]", "0 bits are mapped"),
+    ("[6004, 2011:01]", "[0006]", "0006 of module cannot be mapped in this direction"),
+    ("[2000:01, 2000:02]", "[2000:01]", "links[0].to[0]: takes 16 bits, 32 are sent"),
+    ("[2000:01, 2000:02]", "[2011:01, 0006]", "2011:01 of module cannot be mapped in this direction"),
+    ("inhibit_100us: 5", "timeout_ms: 5", "unknown key 'timeout_ms'"),
+    ("[interface, module]", "[module]", "start: must list each node once: interface, module"),
+    ("sync_period_us: 10000", "sync_period_us: 10", "a whole number 100 to 10000000 is required"),
+    ("sync_period_us: 10000\n", "", "'sync_period_us' is missing"),
+    ("start: [interface, module]", "start: [interface", "no YAML"),
+    ("bus: {interface: socketcan, channel: vcan0}", "bus: can0", "a mapping, key: value, is required"),
+])  # fmt: skip
 def test_each_error_is_one_line_with_file_line_and_key(
     tmp_path: Path, old: str, new: str, message: str
 ) -> None:
@@ -101,13 +99,10 @@ def test_dummies_fill_an_rpdo(tmp_path: Path) -> None:
     assert module.pdos[0x1400].mapping == (0x20000110, 0x00060010)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        *("", "3", "[]", "a: *b", "a: &b [*b]", "nodes: {", "\t", "bus: {interface: x}", "? [a]\n: 3"),
-        *("a: !!int x", "[" * 3000, "\x07", "!!python/object:os.system x", "a: 1\na: 2"),
-    ],
-)
+@each("text", [
+    *("", "3", "[]", "a: *b", "a: &b [*b]", "nodes: {", "\t", "bus: {interface: x}", "? [a]\n: 3"),
+    *("a: !!int x", "[" * 3000, "\x07", "!!python/object:os.system x", "a: 1\na: 2"),
+])  # fmt: skip
 def test_no_network_at_all(tmp_path: Path, text: str) -> None:
     with pytest.raises(network_file.NetworkFileError, match=r"network\.yaml:1:|network\.yaml:2:"):
         network_file.load(write(tmp_path, text))

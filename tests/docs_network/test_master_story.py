@@ -20,6 +20,7 @@ from canfb.cia301.codes import NmtState
 from canfb.module.events import Event, EventKind
 from canfb.simulation.cia402.drive import DriveError
 from canfb.simulation.cia402.state_machine import State
+from folding import each
 
 EDS = str(FOLDER.parents[1] / "eds")
 TEXT = (FOLDER / "network.yaml").read_text(encoding="utf-8").replace("../../eds", EDS)
@@ -161,13 +162,10 @@ def test_another_device_is_refused_before_anything_is_written(tmp_path: Path) ->
     assert writable(network.drive) == before
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("map: [607A, 6060, 6040]", "map: [6060, 6040]", "no link .* carries 6040h, 6060h, 607Ah together"),
-        ("name: drive\n", "name: motor\n", "needs nodes with the names drive"),
-    ],
-)
+@each("old, new, message", [
+    ("map: [607A, 6060, 6040]", "map: [6060, 6040]", "no link .* carries 6040h, 6060h, 607Ah together"),
+    ("name: drive\n", "name: motor\n", "needs nodes with the names drive"),
+])  # fmt: skip
 def test_a_network_without_what_the_story_needs(tmp_path: Path, old: str, new: str, message: str) -> None:
     text = TEXT.replace(old, new)
     if "motor" in new:

@@ -11,6 +11,7 @@ import pytest
 
 from canfb.eds_files import eds_path
 from eds_text import MODULE, NAMES, EdsText, eds_of
+from folding import each
 
 LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 U8, U16, U32, STRING, DOMAIN = 0x05, 0x06, 0x07, 0x09, 0x0F
@@ -225,18 +226,15 @@ def changed(section: str, key: str, value: str) -> str:
     return head + start + "\n".join([*lines, f"{key}={value}"]) + gap + tail
 
 
-@pytest.mark.parametrize(
-    ("rule", "section", "key", "value"),
-    [
-        (form, "OptionalObjects", "2", "0x1F80"),
-        (device_info, "DeviceInfo", "NrOfRXPDO", "7"),
-        (types, "1006", "DataType", "0x0006"),
-        (access, "6000", "AccessType", "rww"),
-        (companions, "2011sub0", "DefaultValue", "9"),
-        (pdos, "1A00sub1", "DefaultValue", "0x20000520"),
-        (cob_ids, "1801sub1", "DefaultValue", "$NODEID+0x180"),
-    ],
-)
+@each("rule, section, key, value", [
+    (form, "OptionalObjects", "2", "0x1F80"),
+    (device_info, "DeviceInfo", "NrOfRXPDO", "7"),
+    (types, "1006", "DataType", "0x0006"),
+    (access, "6000", "AccessType", "rww"),
+    (companions, "2011sub0", "DefaultValue", "9"),
+    (pdos, "1A00sub1", "DefaultValue", "0x20000520"),
+    (cob_ids, "1801sub1", "DefaultValue", "$NODEID+0x180"),
+])  # fmt: skip
 def test_each_rule_finds_its_fault(rule: Rule, section: str, key: str, value: str) -> None:
     assert list(rule(EdsText(changed(section, key, value), 32)))
 

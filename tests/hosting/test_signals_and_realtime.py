@@ -22,6 +22,7 @@ from canfb.configuration import RealtimeConfig
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
 from canfb.hosting.realtime import MCL_CURRENT, MCL_FUTURE, RealtimeThread, apply_realtime
+from folding import each
 from processes import python
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -191,17 +192,14 @@ def test_the_file_is_there_from_ready_to_the_end(tmp_path: Path, left: str | Non
     assert not path.exists()
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "reason"),
-    [
-        *(
-            ("feedback.yaml", text, r"feedback\.yaml: exists, and is not")
-            for text in ("modules: []", "", "1\n2\n")
-        ),
-        ("no/such/folder", None, "No such file"),
-        (".", None, "exists, and is not a ready file"),
-    ],
-)
+@each("name, content, reason", [
+    *(
+        ("feedback.yaml", text, r"feedback\.yaml: exists, and is not")
+        for text in ("modules: []", "", "1\n2\n")
+    ),
+    ("no/such/folder", None, "No such file"),
+    (".", None, "exists, and is not a ready file"),
+])  # fmt: skip
 def test_a_file_that_cannot_be_is_refused_at_the_start_and_another_is_not_touched(
     tmp_path: Path, name: str, content: str | None, reason: str
 ) -> None:

@@ -24,6 +24,7 @@ from canfb.errors import BusError, ConfigError
 from canfb.hosting.captured_source import CapturedSource
 from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.protocol import SourceError
+from folding import each
 
 Iiod = Callable[..., EmulatedIiod]
 Opened = Callable[..., tuple[EmulatedIiod, CapturedSource]]
@@ -163,15 +164,12 @@ def test_what_the_device_does_not_have_is_told_with_its_key(case: str, opened: O
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("number", "words"),
-    [
-        (errno.EBUSY, "another program captures it"),
-        (errno.EINVAL, "is a trigger missing?"),
-        (errno.EACCES, "permissions"),
-        (errno.ENODEV, "No such device"),
-    ],
-)
+@each("number, words", [
+    (errno.EBUSY, "another program captures it"),
+    (errno.EINVAL, "is a trigger missing?"),
+    (errno.EACCES, "permissions"),
+    (errno.ENODEV, "No such device"),
+])  # fmt: skip
 def test_a_device_that_cannot_be_opened_is_told(number: int, words: str, opened: Opened) -> None:
     with pytest.raises(BusError, match=rf"^IIO device 'ads7950' of ip:.*{re.escape(words)}") as caught:
         opened(EmulatedAdc(open_error=number))

@@ -13,6 +13,7 @@ from canfb.hosting.readiness import Readiness
 from canfb.logfile.bus_logs import BusLog
 from commands import Command
 from fake_bus import FakeBus, FakeClock, message
+from folding import each
 
 EPOCH_S = 1_700_000_000.0
 
@@ -82,19 +83,16 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         recorded(tmp_path / "bus.log", frames(3))
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "words"),
-    [
-        ("bus.xyz", {}, r"unknown suffix '\.xyz'; bus logs end with \.asc, \.blf, "),
-        ("bus", {}, "no suffix; "),
-        ("bus.db", {}, r"unknown suffix '\.db'; "),  # written in a thread that ends unheard on a full disk
-        ("bus.blf.gz", {}, r"\.blf cannot be compressed with gzip"),
-        ("bus.log.gz", {"max_bytes": 100}, r"divides \.asc, \.blf, \.log, not \.gz"),
-        ("bus.trc", {"max_bytes": 100}, r"--max-size: python-can divides \.asc, \.blf, \.log, not \.trc"),
-        ("nowhere/bus.log", {}, "there is no folder"),
-        ("there.log", {}, "exists; take another name, or --force"),
-    ],
-)
+@each("name, options, words", [
+    ("bus.xyz", {}, r"unknown suffix '\.xyz'; bus logs end with \.asc, \.blf, "),
+    ("bus", {}, "no suffix; "),
+    ("bus.db", {}, r"unknown suffix '\.db'; "),  # written in a thread that ends unheard on a full disk
+    ("bus.blf.gz", {}, r"\.blf cannot be compressed with gzip"),
+    ("bus.log.gz", {"max_bytes": 100}, r"divides \.asc, \.blf, \.log, not \.gz"),
+    ("bus.trc", {"max_bytes": 100}, r"--max-size: python-can divides \.asc, \.blf, \.log, not \.trc"),
+    ("nowhere/bus.log", {}, "there is no folder"),
+    ("there.log", {}, "exists; take another name, or --force"),
+])  # fmt: skip
 def test_what_cannot_be_is_one_line(tmp_path: Path, name: str, options: dict[str, Any], words: str) -> None:
     (tmp_path / "there.log").write_text("mine")
     with pytest.raises(ConfigError, match=words):

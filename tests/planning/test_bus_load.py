@@ -19,6 +19,7 @@ from canfb.planning.planned_bus import (
 )
 from canfb.simulation.embedded_bus import LONGEST_FRAME_BITS
 from drawing import examples
+from folding import each
 
 NODE = 0x20
 
@@ -35,24 +36,21 @@ def tpdo(kind: int, inhibit: int = 0, timer: int = 0, mapped: int = 0x60040020) 
     }
 
 
-@pytest.mark.parametrize(
-    ("kind", "inhibit", "timer", "sampled", "rate_hz", "follows"),
-    [
-        (1, 0, 0, True, 1000.0, True),
-        (4, 0, 0, True, 250.0, True),
-        (240, 0, 0, True, 1000.0 / 240.0, True),
-        (0, 0, 0, True, 1000.0, True),
-        (254, 0, 0, True, 1000.0, True),
-        (255, 100, 0, True, 100.0, False),  # 10 ms between two
-        (254, 5, 0, True, 1000.0, True),  # 0.5 ms: nothing waits
-        (254, 0, 50, True, 1000.0, True),  # a timer that each sample begins again
-        (255, 0, 50, False, 20.0, False),  # of a node without samples
-        (255, 0, 0, False, 0.0, False),
-        (1, 100, 50, True, 1000.0, True),  # both are of no concern to a synchronous one
-        (252, 0, 0, True, 0.0, False),  # on remote frames
-        (253, 0, 0, True, 0.0, False),
-    ],
-)
+@each("kind, inhibit, timer, sampled, rate_hz, follows", [
+    (1, 0, 0, True, 1000.0, True),
+    (4, 0, 0, True, 250.0, True),
+    (240, 0, 0, True, 1000.0 / 240.0, True),
+    (0, 0, 0, True, 1000.0, True),
+    (254, 0, 0, True, 1000.0, True),
+    (255, 100, 0, True, 100.0, False),  # 10 ms between two
+    (254, 5, 0, True, 1000.0, True),  # 0.5 ms: nothing waits
+    (254, 0, 50, True, 1000.0, True),  # a timer that each sample begins again
+    (255, 0, 50, False, 20.0, False),  # of a node without samples
+    (255, 0, 0, False, 0.0, False),
+    (1, 100, 50, True, 1000.0, True),  # both are of no concern to a synchronous one
+    (252, 0, 0, True, 0.0, False),  # on remote frames
+    (253, 0, 0, True, 0.0, False),
+])  # fmt: skip
 def test_the_rate_of_a_pdo(
     kind: int, inhibit: int, timer: int, sampled: bool, rate_hz: float, follows: bool
 ) -> None:

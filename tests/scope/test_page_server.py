@@ -34,6 +34,7 @@ from canfb.scope.page_server import (
 )
 from canfb.scope.traces import EVERY_S, LEAST_SAMPLES, LONGEST_S, ModuleTraces
 from canfb.signal.correction import NO_CORRECTION, Correction
+from folding import each
 from monitored_network import NODE, MonitoredNetwork
 
 PATIENCE_S = 60.0
@@ -66,23 +67,20 @@ def test_files_are_for_everybody_and_have_no_secret(page: PageServer, path: str)
     assert page.token.encode() not in content
 
 
-@pytest.mark.parametrize(
-    ("path", "headers", "status", "said"),
-    [
-        ("/", {"Host": "localhost:{port}"}, 403, "another host name"),
-        ("/", {"Host": "evil.example:{port}"}, 403, "another host name"),
-        ("/", {"Origin": "http://evil.example"}, 403, "another site"),
-        ("/events?{token}", {"Origin": "http://localhost:{port}"}, 403, "another site"),
-        ("/events", {}, 403, OPEN_ADDRESS),
-        ("/events?", {}, 403, OPEN_ADDRESS),
-        ("/events?{token}x", {}, 403, OPEN_ADDRESS),
-        ("/events", {"Cookie": "token={token}"}, 403, OPEN_ADDRESS),
-        ("/events?%FF%C3", {}, 403, OPEN_ADDRESS),
-        ("/page.py", {}, 404, "no such page"),
-        ("/../pyproject.toml", {}, 404, "no such page"),
-        ("http://evil.example/", {}, 403, "another host name"),
-    ],
-)
+@each("path, headers, status, said", [
+    ("/", {"Host": "localhost:{port}"}, 403, "another host name"),
+    ("/", {"Host": "evil.example:{port}"}, 403, "another host name"),
+    ("/", {"Origin": "http://evil.example"}, 403, "another site"),
+    ("/events?{token}", {"Origin": "http://localhost:{port}"}, 403, "another site"),
+    ("/events", {}, 403, OPEN_ADDRESS),
+    ("/events?", {}, 403, OPEN_ADDRESS),
+    ("/events?{token}x", {}, 403, OPEN_ADDRESS),
+    ("/events", {"Cookie": "token={token}"}, 403, OPEN_ADDRESS),
+    ("/events?%FF%C3", {}, 403, OPEN_ADDRESS),
+    ("/page.py", {}, 404, "no such page"),
+    ("/../pyproject.toml", {}, 404, "no such page"),
+    ("http://evil.example/", {}, 403, "another host name"),
+])  # fmt: skip
 def test_it_is_refused(page: PageServer, path: str, headers: dict[str, str], status: int, said: str) -> None:
     known = {"token": page.token, "port": page.host.partition(":")[2]}
     filled = {name: value.format(**known) for name, value in headers.items()}

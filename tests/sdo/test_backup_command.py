@@ -26,6 +26,7 @@ from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, OTHER, TABLE, Bench, running
 from documentation import blocks, commands, page
 from drawing import examples
+from folding import each
 from node_commands import ANSWER, Commands, between, interrupt, is_write, place_of, refuse_once
 
 NODE = hex(MODULE_ID)
@@ -183,13 +184,10 @@ def test_a_machine_that_runs_is_left_alone(canfb: Commands, file: Path) -> None:
     assert (bench.module.state, values(bench)[0x2010, 3]) == (NmtState.PRE_OPERATIONAL, 9)
 
 
-@pytest.mark.parametrize(
-    ("spoil", "code", "words"),
-    [
-        (swallow, 1, "before are in module 32 (20h) again"),
-        (lambda bench: interrupt(bench, 600), 130, "canfb: interrupted; an unfinished change is undone"),
-    ],
-)
+@each("spoil, code, words", [
+    (swallow, 1, "before are in module 32 (20h) again"),
+    (lambda bench: interrupt(bench, 600), 130, "canfb: interrupted; an unfinished change is undone"),
+])  # fmt: skip
 def test_a_machine_that_was_stopped_in_vain_is_said(
     canfb: Commands, file: Path, spoil: Callable[[Bench], object], code: int, words: str
 ) -> None:

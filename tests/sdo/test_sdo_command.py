@@ -19,6 +19,7 @@ from canfb.sdo.object_description import ObjectDescriptions, numbered
 from canfb.sdo.sdo_tasks import MODULE, abort_words, in_words, parse_value, short_real, value_range
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench, running
 from documentation import blocks, commands, page
+from folding import each
 from node_commands import Commands, abort, between, drop_answer, is_write
 
 NODE = hex(MODULE_ID)
@@ -32,25 +33,22 @@ def bench() -> Bench:
     return Bench(sync=False)
 
 
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("residual limit", "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle)"),
-        ("RESIDUAL LIM", "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle)"),
-        ("residual", "2011:02 Feedback: Residual: 0 (0 cycle)"),
-        ("supervision: residual", "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle)"),
-        ("recording command", "2050:01 Recording: Command: 0"),
-        ("2010:03", "2010:03 Supervision: Samples to coast: 3 samples"),
-        ("0x2010:3", "2010:03 Supervision: Samples to coast: 3 samples"),
-        ("2002h:03", "2002:03 Conditioning: Sine gain: 1.0"),
-        ("6402:01", "6402:01 Work area high limit: Work area high limit channel 1: -1 measuring units"),
-        ("1800:01", "1800:01 TPDO 1 communication parameter: COB-ID used by TPDO: 0x400001A0"),
-        ("inhibit time emcy", "1015:00 Inhibit time EMCY: 0 x 100 us"),
-        ("1008", "1008:00 Manufacturer device name: canfb drive feedback module"),
-        ("2020:01", "2020:01 Correction table: Staged table: 1024 bytes; --out FILE writes them to a file"),
-        ("crc-32 of the active", "2020:04 Correction table: CRC-32 of the active table: 0x00000000"),
-    ],
-)
+@each("text, line", [
+    ("residual limit", "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle)"),
+    ("RESIDUAL LIM", "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle)"),
+    ("residual", "2011:02 Feedback: Residual: 0 (0 cycle)"),
+    ("supervision: residual", "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle)"),
+    ("recording command", "2050:01 Recording: Command: 0"),
+    ("2010:03", "2010:03 Supervision: Samples to coast: 3 samples"),
+    ("0x2010:3", "2010:03 Supervision: Samples to coast: 3 samples"),
+    ("2002h:03", "2002:03 Conditioning: Sine gain: 1.0"),
+    ("6402:01", "6402:01 Work area high limit: Work area high limit channel 1: -1 measuring units"),
+    ("1800:01", "1800:01 TPDO 1 communication parameter: COB-ID used by TPDO: 0x400001A0"),
+    ("inhibit time emcy", "1015:00 Inhibit time EMCY: 0 x 100 us"),
+    ("1008", "1008:00 Manufacturer device name: canfb drive feedback module"),
+    ("2020:01", "2020:01 Correction table: Staged table: 1024 bytes; --out FILE writes them to a file"),
+    ("crc-32 of the active", "2020:04 Correction table: CRC-32 of the active table: 0x00000000"),
+])  # fmt: skip
 def test_reading_by_name_and_by_number(canfb: Commands, bench: Bench, text: str, line: str) -> None:
     assert canfb(bench, "sdo", "read", NODE, text)[0] == f"{line}\n"
 

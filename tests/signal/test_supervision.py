@@ -102,18 +102,15 @@ def test_the_chain_checks_as_the_supervision_does(pairs: list[tuple[float, float
 
 
 # Table 1 gives exactly 1/8 where both tracks are equal: an eighth for the limit makes its edge exact.
-@pytest.mark.parametrize(
-    ("sine", "bits"),
-    [
-        (below(1000.0), StatusBit.VALID),
-        (1000.0, StatusBit.RESIDUAL | StatusBit.COASTING),
-        (above(1000.0), StatusBit.RESIDUAL | StatusBit.COASTING),
-        (-1000.0 * (1.0 - 2.0**-40), StatusBit.VALID),
-        (-1000.0, StatusBit.RESIDUAL | StatusBit.COASTING),
-        (below(-1000.0), StatusBit.RESIDUAL | StatusBit.COASTING),
-    ],
-)
-@pytest.mark.parametrize("coast_samples", [1, 3])
+@each("sine, bits", [
+    (below(1000.0), StatusBit.VALID),
+    (1000.0, StatusBit.RESIDUAL | StatusBit.COASTING),
+    (above(1000.0), StatusBit.RESIDUAL | StatusBit.COASTING),
+    (-1000.0 * (1.0 - 2.0**-40), StatusBit.VALID),
+    (-1000.0, StatusBit.RESIDUAL | StatusBit.COASTING),
+    (below(-1000.0), StatusBit.RESIDUAL | StatusBit.COASTING),
+])  # fmt: skip
+@each("coast_samples", [1, 3])
 def test_a_residual_of_the_limit_is_a_fault(sine: float, bits: StatusBit, coast_samples: int) -> None:
     chain = SignalChain(ChainConfig(residual_limit=0.125, coast_samples=coast_samples))
     for _ in range(10):

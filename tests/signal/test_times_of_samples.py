@@ -10,6 +10,7 @@ from canfb import ChainConfig, SignalChain
 from canfb.signal.sample import TICKS, Feedback
 from canfb.signal.sample_times import HEARD_S, OLDEST, REPEATED, RESTARTED, SUSPECT, SampleTimes
 from canfb.timing.grid import ROW
+from folding import each
 
 T = 10_000  # ticks: 1 ms
 FAST = 125.0  # cycles per interval
@@ -134,15 +135,12 @@ def test_syncs_that_were_not_sent_are_known_by_the_second_call() -> None:
     assert clock.next() == pytest.approx(5.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("known", "off", "late_s", "passed"),
-    [
-        ("receive times", 0, 6e-4, 1.6),
-        ("calls", 0, 6e-4, SUSPECT),  # it may be a wrong time
-        ("calls", 1500, 0.0, SUSPECT),  # no host takes a SYNC before it comes
-        ("calls", -1500, 0.0, 0.85),  # it may have been late
-    ],
-)
+@each("known, off, late_s, passed", [
+    ("receive times", 0, 6e-4, 1.6),
+    ("calls", 0, 6e-4, SUSPECT),  # it may be a wrong time
+    ("calls", 1500, 0.0, SUSPECT),  # no host takes a SYNC before it comes
+    ("calls", -1500, 0.0, 0.85),  # it may have been late
+])  # fmt: skip
 def test_a_sync_off_the_grid(known: str, off: int, late_s: float, passed: float) -> None:
     assert Clock(known).next(off, late_s) == pytest.approx(passed, abs=0.01)
 

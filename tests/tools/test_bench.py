@@ -9,6 +9,7 @@ import canfb
 from canfb.cia301.frame import Frame
 from canfb.simulation.embedded_bus import EmbeddedBus
 from documentation import ROOT, page
+from folding import each
 from tools.bench import bus, bus_others, cycle
 from tools.bench.bus_others import SdoClient, set_up
 from tools.bench.cycle import NODE_ID
@@ -41,15 +42,12 @@ def test_goals_are_those_of_the_page() -> None:
     assert {name for one in cycle.comparisons() for name in (one.ours, one.other)} == set(cycle.WORK)
 
 
-@pytest.mark.parametrize(
-    ("found", "goals"),
-    [
-        ({"found": ["X86_V3", "X86_V4"]}, cycle.GOALS_AVX512),
-        ({"found": ["AVX2", "AVX512_SKX"]}, cycle.GOALS_AVX512),
-        ({"found": ["X86_V3"], "not found": ["X86_V4"]}, cycle.GOALS_OTHER),
-        ({}, cycle.GOALS_OTHER),
-    ],
-)
+@each("found, goals", [
+    ({"found": ["X86_V3", "X86_V4"]}, cycle.GOALS_AVX512),
+    ({"found": ["AVX2", "AVX512_SKX"]}, cycle.GOALS_AVX512),
+    ({"found": ["X86_V3"], "not found": ["X86_V4"]}, cycle.GOALS_OTHER),
+    ({}, cycle.GOALS_OTHER),
+])  # fmt: skip
 def test_the_goals_of_arrays_depend_on_avx512(
     found: dict[str, list[str]], goals: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,13 +115,10 @@ def test_a_module_is_set_up_with_a_table() -> None:
     assert module.dictionary.entry(0x2020, 5).value == 256
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        *(["--cycles", "0"], ["--rate", "0"], ["--rate", "nan"], ["--rounds", "0"]),
-        *(["--loads", "heavy"], ["--nodes", "floor,other"], ["--nodes", "floor", "--loads", "sdo"]),
-    ],
-)
+@each("wrong", [
+    *(["--cycles", "0"], ["--rate", "0"], ["--rate", "nan"], ["--rounds", "0"]),
+    *(["--loads", "heavy"], ["--nodes", "floor,other"], ["--nodes", "floor", "--loads", "sdo"]),
+])  # fmt: skip
 def test_wrong_use_is_told(wrong: list[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         bus.main(wrong)
