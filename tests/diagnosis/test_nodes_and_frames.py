@@ -17,6 +17,7 @@ from canfb.view.module_view import Read
 from commands import Command
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench, EmbeddedMaster, heard
 from folding import each
+from node_commands import between, place_of
 
 EDS = ObjectDescriptions(eds_path("canfb-module"), 1)
 
@@ -138,6 +139,21 @@ def test_a_stopped_node_is_known_by_its_heartbeat() -> None:
     stopped = scanned(bench)[MODULE_ID]
     assert stopped == FoundNode(MODULE_ID, "STOPPED")
     assert stopped.line() == " 32 (20h)  STOPPED          answers no SDO"
+
+
+def test_an_answer_that_is_lost_is_not_known() -> None:
+    bench = Bench(sync=False)
+    asked = Counter[bytes]()
+
+    def losing(frame: Frame) -> list[Frame] | None:
+        asked[frame.data] += 1
+        is_lost = place_of(frame) == (0x1008, 0) or (place_of(frame) == (0x1000, 0) and asked[frame.data] > 1)
+        return [] if is_lost else None
+
+    between(bench, losing)
+    found = scanned(bench)[MODULE_ID]
+    assert (found.name, found.device_type, found.product_code) == (None, None, 1)
+    assert found.line().startswith(" 32 (20h)  OPERATIONAL      device type not known, vendor 0h product 1h")
 
 
 def test_a_node_that_a_master_guards_is_not_asked_for_its_state() -> None:

@@ -1,7 +1,7 @@
 """Nodes on a bus, which answer 1000h or send a heartbeat; CANopen frames in words.
 
 The NMT state is read from the heartbeat, or requested by a remote frame. It is not requested if a master may
-be guarding the node (100Ch), because the answer would disturb the toggle bit.
+guard the node (100Ch): the answer would disturb the toggle bit.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from canfb.master.access import (
     Master,
     NodeAccess,
     RefusedError,
+    received,
     state_in,
     subscribed,
 )
@@ -54,15 +55,21 @@ class FoundNode:
     revision: int | None = None
     serial_number: int | None = None
 
+    @property
+    def answers(self) -> bool:
+        """Whether it answers SDO."""
+        return self != FoundNode(self.node, self.state)
+
     def figures(self) -> dict[str, Any]:
         return asdict(self)
 
     def line(self) -> str:
         head = f"{self.node:3} ({self.node:02X}h)  {self.state or 'state not known':15}"
         vendor, revision = self.vendor_id, self.revision or 0
+        kind = "not known" if self.device_type is None else f"{self.device_type:08X}h"
         parts = those(
-            (self.device_type is None, "answers no SDO"),
-            (self.device_type is not None, self.name or f"device type {self.device_type or 0:08X}h"),
+            (not self.answers, "answers no SDO"),
+            (self.answers, self.name or f"device type {kind}"),
             (vendor is not None, f"vendor {vendor or 0:X}h product {self.product_code or 0:X}h"),
             (self.revision is not None, f"revision {revision >> 16}.{revision & 0xFFFF}"),
             (self.serial_number is not None, f"serial {self.serial_number}"),
@@ -72,38 +79,32 @@ class FoundNode:
 
 def scan(master: Master, listen_s: float) -> list[FoundNode]:
     """Nodes found within ``listen_s``. CanfbError if the bus fails."""
-    answers: set[int] = set()
-    states: dict[int, NmtState | None] = {}
+    with contextlib.ExitStack() as hearing:
 
-    def answered(can_id: int, data: bytes, at: float) -> None:
-        answers.add(can_id - cob.SDO_RESPONSE)
+        def heard_of(function: int) -> dict[int, list[bytes]]:
+            return {node: hearing.enter_context(received(master, function + node)) for node in cob.NODES}
 
-    def heartbeat(can_id: int, data: bytes, at: float) -> None:
-        if len(data) == 1:
-            states[can_id - cob.ERROR_CONTROL] = state_in(data)
-
-    with subscribed(master, [(cob.ERROR_CONTROL + node, heartbeat) for node in cob.NODES]):
-        with subscribed(master, [(cob.SDO_RESPONSE + node, answered) for node in cob.NODES]):
-            end = master.now() + listen_s
-            for node in cob.NODES:
-                master.send(cob.SDO_REQUEST + node, REQUEST)
-                if node % EVERY == 0:
-                    master.wait(PAUSE_S)
-            master.wait(max(0.0, end - master.now()))
+        control, answers = heard_of(cob.ERROR_CONTROL), heard_of(cob.SDO_RESPONSE)
+        end = master.now() + listen_s
+        for node in cob.NODES:
+            master.send(cob.SDO_REQUEST + node, REQUEST)
+            if node % EVERY == 0:
+                master.wait(PAUSE_S)
+        master.wait(max(0.0, end - master.now()))
         found = []
-        for node in sorted(answers | set(states)):
+        for node in [one for one in cob.NODES if answers[one] or control[one]]:
             access = NodeAccess(master, node, "node")
-            if node in answers and node not in states and not access.integer_if_there(GUARD_TIME, "H"):
+            if not control[node] and not access.integer_if_there(GUARD_TIME, "H"):
                 master.send(cob.ERROR_CONTROL + node, b"", remote=True)
                 master.wait(STATE_S)
-            state = states.get(node)
-            found.append(_described(access, state) if node in answers else FoundNode(node, STATES.get(state)))
+            state = next(map(state_in, reversed(control[node])), None)
+            found.append(_described(access, state) if answers[node] else FoundNode(node, STATES.get(state)))
         return found
 
 
 def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
     vendor, product, revision, serial = (node.integer_if_there(place, "I") for place in od.IDENTITY)
-    device_type = node.integer_if_there(od.DEVICE_TYPE, "I") or 0
+    device_type = node.integer_if_there(od.DEVICE_TYPE, "I")
     try:
         name = node.read_bytes(*DEVICE_NAME).decode("latin-1").rstrip("\0").strip()
     except CommissioningError:
@@ -113,7 +114,7 @@ def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
 
 
 def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> dict[str, Any]:
-    """The readable objects of a node whose EDS is ``known``, by number, or the reason for failure."""
+    """The readable objects of a node whose EDS is ``known``, by number, or why not."""
     node = NodeAccess(master, node_id, "node")
     objects: dict[str, Any] = {}
     facts: dict[str, Any] = {"node_id": node_id}
@@ -241,7 +242,7 @@ class FrameWords:
 
 def learn_by_sdo(words: FrameWords, master: Master, nodes: Iterable[int]) -> set[int]:
     known = set()
-    for node in nodes or [one.node for one in scan(master, SCAN_S) if one.device_type]:
+    for node in nodes or [one.node for one in scan(master, SCAN_S) if one.answers]:
         read = NodeAccess(master, node, "module").read_known
         with contextlib.suppress(CommissioningError):
             if read(od.TABLE_ACTIVE_CRC) is not None:
