@@ -154,6 +154,13 @@ def deaf_once_it_is_reset() -> Bench:
     return bench
 
 
+def unplugged_by_the_reset() -> Bench:
+    bench = running(motion=STILL)
+    receive = bench.module.receive
+    bench.module.receive = lambda frame, now: receive(frame, now) if frame.can_id else []  # type: ignore[method-assign]
+    return bench
+
+
 # A millicycle to and fro, around a place where the phase wraps.
 HELD = Motion((), (Ripple(60.0 * 0.001 * 6.28 * 5.0 / CYCLES, 5.0),))
 TURNS, STARTS = Motion((), (), 0.6), Motion((Ramp(1.2, 0.0), Ramp(0.3, 20.0)))
@@ -168,6 +175,7 @@ TURNS, STARTS = Motion((), (), 0.6), Motion((Ramp(1.2, 0.0), Ramp(0.3, 20.0)))
     (lambda: slow(100.0), (), "position valid"),
     (lambda: running(motion=STILL, sync=False), (), "so it is not known whether the machine stands still"),
     (deaf_once_it_is_reset, (), "done: node 32 (20h) is reset and started; but then node 32"),
+    (unplugged_by_the_reset, (), "done: the reset of node 32 (20h) is sent; but then no boot-up within 5 s"),
     (silent, (), "so it is not known whether the machine stands still"),
     (at_a_whole_cycle, (), "the machine moves, it has moved by +"),
 ])  # fmt: skip

@@ -162,7 +162,7 @@ def subscribed(master: Master, callbacks: Iterable[tuple[int, OnFrame]]) -> Iter
 
 @contextlib.contextmanager
 def received(master: Master, can_id: int) -> Iterator[list[bytes]]:
-    """The data of each frame with this CAN-ID that is received during the context."""
+    """The data of each frame with this CAN-ID received meanwhile."""
     frames: list[bytes] = []
     with subscribed(master, [(can_id, lambda can_id, data, at: frames.append(bytes(data)))]):
         yield frames
@@ -326,7 +326,7 @@ def nmt_state(node: NodeAccess) -> NmtState:
 
 @contextlib.contextmanager
 def without_restart(node: NodeAccess) -> Iterator[Callable[[], None]]:
-    """CommissioningError at the end if the node has restarted; yields the check for use in between."""
+    """CommissioningError at the end if the node has restarted; yields the check."""
 
     def check() -> None:
         if cob.BOOT_UP in heard:
@@ -447,9 +447,10 @@ def reset_module(
     master, node = module.master, module.node_id
     with received(master, cob.ERROR_CONTROL + node) as heard:
         master.send(cob.NMT, struct.pack("BB", command, node))
-        if not _wait_until(master, BOOT_UP_S, lambda: cob.BOOT_UP in heard):
-            raise CommissioningError(f"{module.name}: no boot-up within {BOOT_UP_S:g} s after the reset")
-    master.send(cob.NMT, struct.pack("BB", NmtCommand.START, node))
+        with but_then(f"the reset of {module.name} is sent"):
+            if not _wait_until(master, BOOT_UP_S, lambda: cob.BOOT_UP in heard):
+                raise CommissioningError(f"no boot-up within {BOOT_UP_S:g} s")
+            master.send(cob.NMT, struct.pack("BB", NmtCommand.START, node))
     with but_then(f"{module.name} is reset and started"):
         _wait_until(master, BOOT_UP_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID)
         status = module.integer(*od.FEEDBACK_STATUS, "H")
