@@ -15,6 +15,7 @@ import pytest
 from canfb.configuration import parse_config
 from canfb.hosting.hosting import Hosting
 from canfb.hosting.self_diagnosis import KeptLines, SelfDiagnosis, diagnosing_on_signal, diagnosis_text, plain
+from commands import Command, yaml_file
 
 LIMIT_S = 60.0
 BUS = "bus: {interface: virtual, channel: diagnosis, password: apple}\n"
@@ -111,9 +112,25 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path, caplog: pytest.
     stepped = Stepped(tmp_path / "gone")
     stepped.diagnosis.request()
     stepped.steps()
-    assert [record.getMessage() for record in caplog.records if "diagnosis" in record.getMessage()] == [
-        f"no diagnosis in {tmp_path / 'gone'}: No such file or directory"
-    ]
+    told = f"no diagnosis in {tmp_path / 'gone'}: No such file or directory"
+    assert [text for text in caplog.messages if "diagnosis" in text] == [told]
+    stepped.diagnosis.request()
+    for _ in range(2):
+        stepped.diagnosis.step(stepped.nodes)
+    stepped.diagnosis.request()  # while it works on the one before
+    stepped.diagnosis.finish(stepped.nodes)
+    assert caplog.messages.count(told) == 3
+
+
+def test_a_signal_while_the_process_ends_does_not_kill_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command
+) -> None:
+    left = list[Any]()
+    monkeypatch.setattr(Hosting, "__enter__", lambda hosting: hosting)
+    monkeypatch.setattr(Hosting, "run", lambda *_: None)
+    monkeypatch.setattr(Hosting, "__exit__", lambda *_: left.append(signal.getsignal(signal.SIGUSR1)))
+    command("run", yaml_file(tmp_path, "bus: {interface: virtual}\nmodules: [{node_id: 32}]\n"))
+    assert left != [signal.SIG_DFL]
 
 
 def test_secrets_are_left_out_and_whatever_an_object_holds_becomes_json() -> None:

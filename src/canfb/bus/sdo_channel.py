@@ -101,8 +101,7 @@ class SharedClient(SdoClient):
         network.subscribe(self.tx_cobid, self.on_response)
 
     def frame(self, within_s: float) -> bytes:
-        data: bytes = self.responses.get(timeout=max(0.0, within_s))
-        return data
+        return bytes(self.responses.get(timeout=max(0.0, within_s)))
 
     def now(self) -> float:
         return time.monotonic()

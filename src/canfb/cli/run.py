@@ -30,11 +30,11 @@ def run(options: argparse.Namespace) -> int:
     serving = Hosting(config, bus_options(options, config.bus), verbose=options.verbose)
     PRINTING.as_json = options.json
     with (
+        diagnosing_on_signal(serving.diagnosis.request),  # first: without it the signal kills the process
         printed_without_waiting(),
         Readiness(options.ready_file) as readiness,
         serving,
         ending_on_signals(serving.stop),
-        diagnosing_on_signal(serving.diagnosis.request),
     ):
         serving.run(readiness.ready, readiness.alive)
     return 0

@@ -161,7 +161,6 @@ class SelfDiagnosis:
         """Continue for at most half a millisecond."""
         ended = next(self._working, True) is True
         if ended and self._requested:
-            self._requested = False
             self._working = self._work(nodes)
 
     def finish(self, nodes: Sequence[NodeDevice]) -> None:
@@ -172,16 +171,18 @@ class SelfDiagnosis:
                 thread.join()
 
     def _work(self, nodes: Sequence[NodeDevice]) -> Iterator[threading.Thread | None]:
-        # Gives the thread that writes, while it does.
-        yield from self._collect(nodes)
-        thread = threading.Thread(
-            target=self._write, args=(self._runner().counters,), name="canfb-diagnose", daemon=True
-        )
-        with small_stack():
-            thread.start()
-        while thread.is_alive():
-            yield thread
-        log.info(self._outcome)
+        # Gives the thread that writes, while it does. A request meanwhile begins again.
+        while self._requested:
+            self._requested = False
+            yield from self._collect(nodes)
+            thread = threading.Thread(
+                target=self._write, args=(self._runner().counters,), name="canfb-diagnose", daemon=True
+            )
+            with small_stack():
+                thread.start()
+            while thread.is_alive():
+                yield thread
+            log.info(self._outcome)
 
     def _collect(self, nodes: Sequence[NodeDevice]) -> Iterator[None]:
         self._nodes: list[dict[str, Any]] = []
