@@ -60,6 +60,8 @@ def test_a_second_store_is_refused_until_the_first_is_closed_or_its_process_has_
     with StateFiles(folder) as store, refused:
         StateFiles(folder)
     store.close()
+    with pytest.raises(OSError, match=r"canfb is closed"):
+        store.save(NEW)
     StateFiles(folder).close()
 
 

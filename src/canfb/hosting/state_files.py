@@ -84,6 +84,8 @@ class StateFiles(contextlib.AbstractContextManager["StateFiles"]):
 
     def save(self, changes: Changes) -> None:
         """Store all of ``changes`` (None: delete), or with an OSError none."""
+        if self._lock < 0:
+            raise OSError(errno.EROFS, f"{self.folder} is closed, or open for reading only")
         with contextlib.suppress(FileNotFoundError):  # deleted with its folder: no other process has a lock
             if not os.path.samestat(os.fstat(self._lock), os.stat(self.folder / LOCK)):
                 raise OSError(errno.EBUSY, "another process has taken it")
@@ -247,7 +249,7 @@ class ThreadedStore:
 
 
 class SavedParameters(StateFiles):
-    """Read-only access: without lock, without creating the folder."""
+    """Read-only: no lock, no folder is created."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -262,7 +264,3 @@ class SavedParameters(StateFiles):
                 break
             before = again
         return before
-
-    def save(self, changes: Changes) -> None:
-        """OSError: read-only."""
-        raise OSError(errno.EROFS, f"{self.folder} is open for reading only")
