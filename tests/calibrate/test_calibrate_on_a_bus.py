@@ -140,6 +140,15 @@ def test_a_lost_position_is_said_at_once_and_in_the_account(
     assert (found["module_lost"], found["module_cycles"]) == (True, None)
 
 
+def test_a_restart_while_it_collects_is_said_and_its_counters_are_not_known(figures_of: Any) -> None:
+    bench, said = Bench(), io.StringIO()
+    resets = [Frame(0x000, b"\x81\x20")]
+    bench.master.on_wait = lambda now: bench.bus.send(resets.pop()) if resets and now > 1.0 else None
+    found = figures_of(bench, progress=Progress(stream=said))
+    assert "... module 32 (20h) was restarted meanwhile (boot-up heard): the samples are" in said.getvalue()
+    assert (found["active"], found["module_missed"]) == (True, None)
+
+
 def test_drift_is_a_small_number_and_touches_nothing(
     figures_of: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -36,8 +36,9 @@ from canfb.calibrate.procedure import (
 )
 from canfb.calibration.deviation import Deviation
 from canfb.calibration.path_fit import check_apart
+from canfb.cia301 import cob
 from canfb.errors import CalibrationError, CanfbError
-from canfb.master.access import CommissioningError, Master, Progress
+from canfb.master.access import CommissioningError, Master, NodeAccess, Progress, received
 from canfb.master.all_or_nothing import Guard, check_can_save, check_unlocked
 from canfb.master.machine_watch import (
     LockWatch,
@@ -108,15 +109,20 @@ class CalibrationRun:
 
     def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
         choices = self._choices
-        session = self._begin(master, module, interface)
+        self._steps.step("reading the active table")
+        session = Session.open(master, module, interface)
+        self._where = session.provenance(self._where)
+        self._limits = session.limits
+        if not (choices.check or choices.dry_run):
+            check_unlocked(session.module)
+        if choices.save:
+            check_can_save(session.module)
         if choices.speeds is not None:
             return self._at_speeds(session, guard)
         if choices.check and choices.samples_from == PDO and session.path_is_known:
             return self._check_at_speed(session)
-        before = self._look(session, None)
         settings = choices.settings(session.limits)
-        kind, recorder, rate_hz = choices.samples_from, choices.recorder, choices.sample_rate
-        source = session.source(kind, recorder, rate_hz)
+        source = session.source(choices.samples_from, choices.recorder, choices.sample_rate)
 
         def prove(found: Measurement) -> Deviation:
             fresh = source(choices.verify_s, choices.least_fresh, self._steps.part)
@@ -124,33 +130,35 @@ class CalibrationRun:
 
         put = partial(self._install, session, guard, prove)
         if choices.samples_from == MODULE:
-            return self._by_module(session, put, settings, before)
-        self._steps.step(f"collecting {choices.collecting}")
+            return self._by_module(session, put, settings)
         watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
-        watched = session.source(kind, recorder, rate_hz, watch)
-        samples = session.together(watched(choices.collect_s, choices.least_samples, self._steps.part))
-        self._look(session, before)
+        watched = session.source(choices.samples_from, choices.recorder, choices.sample_rate, watch)
+        with self._observed(session.module):
+            self._steps.step(f"collecting {choices.collecting}")
+            samples = session.together(watched(choices.collect_s, choices.least_samples, self._steps.part))
         if watch.found is not None:
             self._judged(samples, watch.raise_found)
         return self._report(self._measured(samples, session.active, settings), put)
 
-    def _begin(self, master: Master, module: int, interface: int | None) -> Session:
-        self._steps.step("reading the active table")
-        session = Session.open(master, module, interface)
-        self._where = session.provenance(self._where)
-        self._limits = session.limits
-        if not (self._choices.check or self._choices.dry_run):
-            check_unlocked(session.module)
-        if self._choices.save:
-            check_can_save(session.module)
-        return session
+    @contextlib.contextmanager
+    def _observed(self, module: NodeAccess) -> Iterator[None]:
+        """Look at the module before and after; say what was lost."""
+        before = self._look(module)
+        with received(module.master, cob.ERROR_CONTROL + module.node_id) as heard:
+            yield
+        after = self._look(module, before)
+        if cob.BOOT_UP in heard:  # its counters began again
+            self._steps.step(
+                f"{module.name} was restarted meanwhile (boot-up heard): the samples are right; what was not "
+                "saved is lost"
+            )
+        elif before is not None and after is not None:
+            self._where = replace(self._where, meanwhile=Meanwhile(before, after))
 
-    def _look(self, session: Session, before: Look | None) -> Look | None:
-        look = look_at(session.module)
+    def _look(self, module: NodeAccess, before: Look | None = None) -> Look | None:
+        look = look_at(module)
         if look is not None and look.is_lost and not (before is not None and before.is_lost):
-            self._steps.step(lost_words(session.module, look.status))
-        if look is not None and before is not None:
-            self._where = replace(self._where, meanwhile=Meanwhile(before, look))
+            self._steps.step(lost_words(module, look.status))
         return look
 
     def _by_module(
@@ -158,16 +166,14 @@ class CalibrationRun:
         session: Session,
         put: Callable[..., Installed],
         settings: Settings,
-        before: Look | None,
     ) -> Result:
-        self._steps.step("the module measures")
-        if self._choices.check:
-            session.check_interface()
-            return module_drift_result(
-                let_check(session.module, self._steps.part), session.active, self._where
-            )
-        samples = session.together(let_measure(session.module, session.layout(), self._steps.part))
-        self._look(session, before)
+        with self._observed(session.module):
+            self._steps.step("the module measures")
+            if self._choices.check:
+                session.check_interface()
+                drift = let_check(session.module, self._steps.part)
+                return module_drift_result(drift, session.active, self._where)
+            samples = session.together(let_measure(session.module, session.layout(), self._steps.part))
         with contextlib.ExitStack() as unless_accepted:
             unless_accepted.callback(discard, session.module)
 
@@ -226,17 +232,18 @@ class CalibrationRun:
         check_apart(session.cycles_per_revolution / 60.0 * np.array(choices.speeds_rpm))
         check_valid(node)
         before = InForce(session.active, read_corners(session.module))
-        look = self._look(session, None)
         samples: list[SpeedSamples] = []
         left = list(choices.speeds_rpm)
         readings = SpeedReadings(node)
-        while left:
-            steps.step(f"waiting for the machine to turn steadily at {listed(left)} rpm")
-            rpm = wait_for_speed(node.master, lambda: readings.read() * RPM, left, choices.wait, steps.part)
-            left.remove(rpm)
-            steps.step(f"at {rpm:g} rpm: collecting {choices.collecting}")
-            samples.append(self._collect(session, choices.collect_s, choices.least_samples))
-        self._look(session, look)
+        with self._observed(node):
+            while left:
+                steps.step(f"waiting for the machine to turn steadily at {listed(left)} rpm")
+                rpm = wait_for_speed(
+                    node.master, lambda: readings.read() * RPM, left, choices.wait, steps.part
+                )
+                left.remove(rpm)
+                steps.step(f"at {rpm:g} rpm: collecting {choices.collecting}")
+                samples.append(self._collect(session, choices.collect_s, choices.least_samples))
 
         def prove(found: Measurement) -> Deviation:
             fresh = self._collect(session, choices.verify_s, choices.least_fresh)
@@ -257,9 +264,9 @@ class CalibrationRun:
 
     def _check_at_speed(self, session: Session) -> Result:
         choices = self._choices
-        self._look(session, None)
-        self._steps.step(f"collecting {choices.collecting}")
-        measured = self._collect(session, choices.collect_s, choices.least_samples)
+        with self._observed(session.module):
+            self._steps.step(f"collecting {choices.collecting}")
+            measured = self._collect(session, choices.collect_s, choices.least_samples)
         active, settings = (
             InForce(session.active, read_corners(session.module)),
             choices.settings(session.limits),
