@@ -72,6 +72,13 @@ def test_the_frames_are_those_of_python_can(
     assert len(list(BusLogFile(path, others=True))) == len(everything)
 
 
+def test_a_db_does_not_mark_can_fd_but_its_length_does(tmp_path: Path) -> None:
+    path = written(tmp_path / "bus.db", [(1, of_kind("fd", 0x190, bytes(length), 0)) for length in (4, 12)])
+    log = BusLogFile(path)
+    assert [len(frame.data) for frame in log] == [4]
+    assert log.counters.not_canopen == 1
+
+
 def frames_of(number: int) -> list[tuple[float, int, bytes]]:
     return [(n * 1e-3, 0x80 + n % 3, bytes([n % 256, 0xEC])) for n in range(number)]
 

@@ -165,7 +165,7 @@ class LogCounters:
 
 
 MOST_CHANNELS = 6  # channels listed in a message
-LONGEST_LINE = 1 << 16  # bytes
+LONGEST_LINE, CLASSIC_BYTES = 1 << 16, 8  # most bytes of a line, and of a frame that is not CAN FD
 BLOCK_LINES = 256
 BLF_OBJECT, BLF_OBJECT_PLACES = b"LOBJ", 8  # an object begins 0..4 bytes after the previous one
 BLF_HEAD, BLF_LONGEST = 16, 1 << 24  # size of the header of an object, largest object, bytes
@@ -183,6 +183,7 @@ def messages_of(path: Path, suffix: str, counters: LogCounters) -> Iterator[can.
             messages = closing.enter_context(can.LogReader(path))
         for message in messages:
             counters.bytes_read = raw.tell()
+            message.is_fd |= len(message.data) > CLASSIC_BYTES  # a .db does not say it
             yield message
 
 

@@ -329,8 +329,12 @@ def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
     ]
     correction = None if used is None else (used.crc32, repr(used.conditioning))
     parts = (version("canfb"), tuple(COLUMNS), status.st_size, status.st_mtime_ns, words, correction, saved)
-    digest = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
-    return LogJob(as_utf8(str(path.relative_to(folder))), path, status.st_size, digest)
+    return LogJob(
+        as_utf8(str(path.relative_to(folder))),
+        path,
+        status.st_size,
+        hashlib.sha256(repr(parts).encode()).hexdigest()[:32],
+    )
 
 
 def rows_of(job: LogJob, settings: ReplayOptions) -> list[LogRow]:
