@@ -16,6 +16,7 @@ from canfb.signal.estimator import Estimator
 from canfb.signal.limits import Declared
 from canfb.signal.speed_hypotheses import SpeedHypotheses, SpeedSet
 from canfb.signal.supervision import COASTING, LOST, VALID
+from folding import each
 
 TAU = 5e-5  # 50 ns of 1 ms
 
@@ -161,14 +162,11 @@ def with_one_bad(
     return given, slice(bad, bad + 1)
 
 
-@pytest.mark.parametrize(
-    ("spoil", "acceleration", "jitter"),
-    [
-        # The times deviate so little that one cycle more per interval lasts long.
-        *((with_one_bad, *case) for case in ((0.01, 0.01), (0.05, 0.02), (0.1, 0.03))),
-        *((with_bad_row, a, jitter_at(q, declared(a))) for a in (0.01, 0.05, 0.1) for q in (0.7, 1.0, 2.0)),
-    ],
-)
+@each("spoil, acceleration, jitter", [
+    # The times deviate so little that one cycle more per interval lasts long.
+    *((with_one_bad, *case) for case in ((0.01, 0.01), (0.05, 0.02), (0.1, 0.03))),
+    *((with_bad_row, a, jitter_at(q, declared(a))) for a in (0.01, 0.05, 0.1) for q in (0.7, 1.0, 2.0)),
+])  # fmt: skip
 def test_bad_samples_in_a_start_leave_no_wrong_position(
     spoil: Callable[..., tuple[np.ndarray, slice]], acceleration: float, jitter: float
 ) -> None:

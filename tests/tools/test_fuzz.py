@@ -42,15 +42,11 @@ def test_any_input(one: Input) -> None:
     body.play(one)
 
 
-@pytest.mark.parametrize(
-    ("begin", "segments"),
-    [
-        ("2120200100000100", (0x00, 0x10)),
-        ("2020200100000000", (0x00, 0x10)),
-        ("C020200100000000", range(1, 32)),
-    ],
-    ids=["segmented, with a size", "segmented", "block"],
-)
+@each("begin, segments", [
+    ("2120200100000100", (0x00, 0x10)),
+    ("2020200100000000", (0x00, 0x10)),
+    ("C020200100000000", range(1, 32)),
+])  # fmt: skip
 def test_memory_is_bounded(begin: str, segments: Sequence[int]) -> None:
     """A client that never ends its download."""
     run = started(MODULE)
