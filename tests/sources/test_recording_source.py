@@ -86,6 +86,8 @@ WRONG: dict[str, tuple[str | bytes, str]] = {
     "too large": ("a,b\n0,32768\n", ":2: 0, 32768 does not fit INTEGER16: --mid-scale 16384"),
     "huge": ("a,b\n1e300,0\n", ":2: 1e+300, 0 does not fit INTEGER16: --mid-scale 5e+299 --scale "),
     "not text": (b"a,b\n\0\0,2\n", ": this is not a text file with columns"),
+    "candump": ("(1.0) can0 190#0102\n", ": this is a log of the bus: canfb log replay "),
+    "python-can": ("timestamp,arbitration_id,extended\n", ": this is a log of the bus: canfb log replay "),
     "a byte that is no digit": (b"a,b\n\xff\xfe,2\n", ":2: a value in one of the selected columns is not"),
     "a line after that of the separator": ("sep=;\na;b\n1;2\n1;x\n", ":4: a value in one"),
     "volts": ("a,b\n0.1,-0.9\n1,0\n", ": the largest value is 1: these are volts, and ADC counts are"),

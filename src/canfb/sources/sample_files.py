@@ -20,6 +20,10 @@ from canfb.objects import MISSED_COUNTS
 from canfb.signal.phase import ArrayLike, FloatArray, pair_of_tracks
 
 SEPARATORS = "\t;,"  # tried in this order: a name or a number may contain a comma
+# The beginning of .log, .csv, .trc and .asc.
+BUS_LOG = re.compile(
+    r"\([0-9.]+\) \S+ [0-9A-Fa-f]+#|timestamp,arbitration_id,|;\$FILEVERSION|date \w+ \w+ \d"
+)
 SEPARATOR_LINE = re.compile(r"sep=(.)\s*")
 NAMES = {"\t": "tab", ";": "semicolon", ",": "comma"}
 
@@ -45,7 +49,14 @@ def read_columns(path: Path, names: Sequence[str]) -> Columns:
     The separator is found in the header, or given by a line ``sep=;``; decimal commas are read. CanfbError
     with the line.
     """
-    text = _text(path)
+    text = decoded(read_bytes(path, CanfbError))
+    is_log = BUS_LOG.match(text)
+    if is_log or "\0" in text:
+        what = "a log of the bus:" if is_log else "not a text file with columns; of a log of the bus"
+        raise CanfbError(
+            f"{path}: this is {what} canfb log replay {path} --config CONFIG.yaml --out samples.csv writes "
+            "the samples, for --columns sine_counts,cosine_counts"
+        )
     head, _, rest = text.partition("\n")
     declared = SEPARATOR_LINE.fullmatch(head)
     skipped = 1 if declared else 0
@@ -66,13 +77,6 @@ def read_columns(path: Path, names: Sequence[str]) -> Columns:
     if not values:
         raise CanfbError(f"{path}: it contains no samples")
     return Columns(np.array(values), lines, separator)
-
-
-def _text(path: Path) -> str:
-    text = decoded(read_bytes(path, CanfbError))
-    if "\0" in text:
-        raise CanfbError(f"{path}: this is not a text file with columns")
-    return text
 
 
 def _place(path: Path, header: list[str], name: str) -> int:
