@@ -54,13 +54,16 @@ def writing(path: Path, option: str = "") -> contextlib.AbstractContextManager[N
     return saying(CanfbError, f"{option} {path}".strip() + ": cannot be written", OSError)
 
 
-def prepare_folder(folder: Path, *kept: str) -> None:
-    """CanfbError where no file can be made in it; ConfigError with one of ``kept`` in it."""
+def prepare_folder(folder: Path, command: str, *kept: str) -> None:
+    """CanfbError where no file can be; ConfigError with ``kept`` or the report of another ``command``."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name in kept:
             if (folder / name).exists():
                 raise ConfigError(f"--out {folder}: has {name} of another measurement: give another folder")
+        report = folder / "report.html"
+        if report.exists() and f"Made by canfb {command}".encode() not in report.read_bytes():
+            raise ConfigError(f"--out {folder}: has {report.name} of another command: give another folder")
         tempfile.TemporaryFile(dir=folder).close()
 
 

@@ -25,7 +25,7 @@ def command(
     """`canfb calibrate ARGUMENT...`; its exit status."""
     options = build_parser().parse_args(["calibrate", *arguments])
     if options.out:
-        prepare_folder(options.out)
+        prepare_folder(options.out, "calibrate")
     nodes, guard, quiet = measured_nodes(options, config or Config()), guard or Guard(), Progress(quiet=True)
     return measured(options, progress or quiet, "2026-03-01", lambda run: run.over_bus(master, *nodes, guard))
 

@@ -102,7 +102,7 @@ def test_everything_is_written_and_can_be_read_again(
     measured: Measurement, done: Installation, tmp_path: Path
 ) -> None:
     folder = tmp_path / "a" / "b"
-    prepare_folder(folder)
+    prepare_folder(folder, "calibrate")
     assert list(folder.iterdir()) == []
     paths = write(folder, measured, done, WHERE, LIMITS)
     assert [path.name for path in paths] == ["table.yaml", "table.bin", "samples.npz", "report.html"]

@@ -104,6 +104,11 @@ def test_drift_of_a_file_against_a_table_of_a_file(npz: str, tmp_path: Path, com
     found = command(check, moved, "--out", out).json
     assert [path.name for path in out.iterdir()] == ["samples.npz"]
     assert "has table.yaml of another measurement" in command(check, npz, "--out", tmp_path, code=2).err
+    for maker, kind, said in (("commission", "", "command"), ("calibrate", "--check ", "measurement")):
+        (out / "report.html").write_text(f"Made by canfb {maker}.")
+        err = command(f"calibrate {kind}--samples {npz} --out", out, code=2).err
+        assert f"has report.html of another {said}: give another folder" in err
+    assert "has report.html of another" in command("commission --out", out, code=2).err
     (out / "speeds").mkdir()
     assert "has speeds of another" in command(f"calibrate --samples {npz} --out", out, code=2).err
     want = 10 / ENCODER.amplitude_counts / (2 * np.pi * np.sqrt(2))

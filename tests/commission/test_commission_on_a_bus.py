@@ -46,7 +46,7 @@ def run(bench: Bench, *words: str, guard: Guard | None = None) -> int:
     options = build_parser().parse_args([*words])
     options.line = "canfb commission"
     if options.out:
-        prepare_folder(options.out)
+        prepare_folder(options.out, "commission")
     asked, shown = (
         (*measured_nodes(options, named_config(options)), wishes_of(options)),
         Progress(quiet=options.json),

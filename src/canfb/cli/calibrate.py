@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
-from canfb.calibrate.artefacts import SPEEDS, TABLE_YAML
+from canfb.calibrate.artefacts import REPORT, SPEEDS, TABLE_YAML
 from canfb.calibrate.calibration_run import CalibrationRun
 from canfb.calibrate.choices import (
     IDLE,
@@ -183,8 +183,8 @@ def calibrate(options: argparse.Namespace) -> int:
     config = named_config(options)
     if choices.out:
         # Beside new samples they would pass for theirs.
-        kept = [TABLE_YAML] * choices.check + [SPEEDS] * (choices.speeds is None)
-        prepare_folder(choices.out, *kept)
+        kept = [TABLE_YAML, REPORT] * choices.check + [SPEEDS] * (choices.speeds is None)
+        prepare_folder(choices.out, "calibrate", *kept)
     with shown_progress(quiet=options.json, interrupted="nothing more is written to the module") as progress:
         if choices.samples:
             return measured(
@@ -207,8 +207,9 @@ def measured(
             refusal = {"accepted": False, "reason": error.reason, "message": str(error)}
             print(json.dumps(refusal | {"active": False, "saved": False}, indent=2))
 
-    result = measure(CalibrationRun(choices_of(options), progress, date, refused))
-    return say_result(options, result, progress)
+    return say_result(
+        options, measure(CalibrationRun(choices_of(options), progress, date, refused)), progress
+    )
 
 
 def choices_of(options: argparse.Namespace) -> CalibrateOptions:

@@ -86,11 +86,12 @@ def register(commands: Commands) -> None:
 def commission(options: argparse.Namespace) -> int:
     wishes, config = wishes_of(options), named_config(options)
     if wishes.out:
-        prepare_folder(wishes.out)
+        prepare_folder(wishes.out, "commission")
     nodes = measured_nodes(options, config)  # reports wrong options before the bus is opened
-    as_before = "limits that were not verified are unchanged"
     with (
-        shown_progress(quiet=options.json, interrupted=as_before) as progress,
+        shown_progress(
+            quiet=options.json, interrupted="limits that were not verified are unchanged"
+        ) as progress,
         sync_master(options, config) as (master, guard),
     ):
         return say_result(options, run(master, *nodes, wishes, guard, progress, date_and_time()), progress)

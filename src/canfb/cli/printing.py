@@ -24,7 +24,7 @@ def say(text: str) -> None:
 
 
 def print_line(text: str, stream: TextIO) -> None:
-    """Print immediately and in one call, because other threads may print, too."""
+    """Print at once, in one call: other threads may print."""
     with reader_may_go(stream):
         stream.write(f"{text}\n")
         stream.flush()

@@ -11,7 +11,7 @@ from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import ConfigError
 from canfb.files import check_writable, read_bytes, write_whole
 from canfb.master.access import CommissioningError, Master, NodeAccess
-from canfb.rows import Result, Row, as_columns
+from canfb.rows import Result, Row, as_columns, those
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import SdoTasks, described_by, is_lost
 
@@ -104,8 +104,10 @@ def read(options: argparse.Namespace) -> int:
         check_writable(options.out)
     with node_options.master_of(options) as master:
         readings = _tasks(master, options).read(options.object)
-    hint = [LOST.format(options.node)] if any(map(is_lost, readings)) else []
-    lines = [*(reading.line() for reading in readings), *hint]
+    lines = [
+        *(reading.line() for reading in readings),
+        *those((any(map(is_lost, readings)), LOST.format(options.node))),
+    ]
     if options.out is not None:
         if len(readings) > 1:
             raise ConfigError(f"--out: {options.object!r} has several entries; give one of them, index:sub")

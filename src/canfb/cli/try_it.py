@@ -158,7 +158,7 @@ def _tell_story(options: argparse.Namespace) -> int:
     )
 
     if options.out:
-        prepare_folder(options.out)
+        prepare_folder(options.out, "demo")
     date = page_date() if options.out else ""  # raises for a wrong SOURCE_DATE_EPOCH before the work
     network = DemoNetwork()
     story = run_story(network, Progress(options.json or not sys.stderr.isatty()).step)
