@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from canfb.simulation.faults import Samples
+from folding import each
 from tools.faults.engine import Cell, Sums, Work, total
 from tools.faults.samples import campaign
 from tools.faults.samples.campaign import Player
@@ -17,17 +18,13 @@ from tools.faults.samples.tracks import ENCODER, SETTINGS, judge_tracks
 SLOW, FAST = Declared(0.01), Declared(0.2)
 
 
-@pytest.mark.parametrize(
-    ("phases", "error", "wrong", "causes", "said"),
-    [
-        ([0.5, 0.5], 0.5, slice(10, 12), {Cause.ILLEGAL}, {"declared": 1, "seen": 0, "legal": 0}),
-        ([0.5] * 4, 0.5, slice(10, 14), {Cause.ILLEGAL}, {"declared": 0}),
-        ([0.5], 1.0, slice(11, None), {Cause.ILLEGAL}, {"declared": 1, "matters": 1}),
-        ([0.3, 0.3], 0.3, slice(10, 12), {Cause.EXCUSED}, {"legal": 1, "seen": 0}),
-        ([0.1, 0.1], 0.0, slice(0, 0), set(), {"matters": 0, "declared": 1}),
-    ],
-    ids=["silent", "more than is declared", "a cycle lost", "a legal motion", "a small error"],
-)
+@each("phases, error, wrong, causes, said", [
+    ([0.5, 0.5], 0.5, slice(10, 12), {Cause.ILLEGAL}, {"declared": 1, "seen": 0, "legal": 0}),  # silent
+    ([0.5] * 4, 0.5, slice(10, 14), {Cause.ILLEGAL}, {"declared": 0}),  # more than is declared
+    ([0.5], 1.0, slice(11, None), {Cause.ILLEGAL}, {"declared": 1, "matters": 1}),  # a cycle lost
+    ([0.3, 0.3], 0.3, slice(10, 12), {Cause.EXCUSED}, {"legal": 1, "seen": 0}),  # a legal motion
+    ([0.1, 0.1], 0.0, slice(0, 0), set(), {"matters": 0, "declared": 1}),  # a small error
+])  # fmt: skip
 def test_the_judge_of_the_tracks_sees_what_is_planted(
     phases: list[float], error: float, wrong: slice, causes: set[Cause], said: dict[str, int]
 ) -> None:
