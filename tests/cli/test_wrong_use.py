@@ -52,6 +52,7 @@ WRONG_USE = {
     **{f"try --rate {rate}": f"--rate {rate}" for rate in ("20", "2000", "nan")},
     "try --port 70000": "--port 70000",
     "try --write-config feedback.yaml": "--write-config feedback.yaml: is a configuration, and would be",
+    "simulate": "CONFIG.yaml is required: its module and its simulation",
     "simulate x.yaml --rate fast": "canfb simulate: argument --rate: invalid float value",
     **{
         f"simulate feedback.yaml --rate {rate}": f"--rate {rate}: must be 0.1 to 100000 Hz"

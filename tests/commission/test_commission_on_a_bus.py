@@ -228,7 +228,7 @@ def restart(bench: Bench) -> None:
     ({"table": False}, None, r"no correction table is active.*run canfb calibrate first"),
     ({"motion": Motion(())}, None, "the machine stands still: its acceleration cannot be measured"),
     ({"motion": FAR_TOO_FAST}, None, "the position is lost"),
-    ({}, lose, r"the position is lost \(2011:01\)"),
+    ({}, lose, r"the position is lost \(2011:01\).*: canfb why 0x20 says why, and what brings it back"),
     ({}, spoil_the_limit, "2010:02, largest acceleration, is nan"),
     ({}, spoil_the_speed, r"its speed \(2011:07\) is nan"),
     ({"operational": False}, None, r"no valid position \(2011:01 is .*NMT start"),

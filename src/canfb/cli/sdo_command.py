@@ -96,7 +96,13 @@ def listed(options: argparse.Namespace) -> int:
         if options.object.lower() in f"{one.number} {one.title}".lower()
     ]
     figures = [dict(zip(COLUMNS, (row.name, *row.words), strict=True)) for row in rows]
-    return node_options.say_result(options, Result(figures, as_columns(rows, COLUMNS)))
+    return node_options.say_result(
+        options,
+        Result(
+            figures,
+            as_columns(rows, COLUMNS) if rows else [f"no object has {options.object!r} in number or name"],
+        ),
+    )
 
 
 def read(options: argparse.Namespace) -> int:

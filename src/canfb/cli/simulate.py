@@ -47,7 +47,7 @@ def register(commands: Commands) -> None:
         commands,
         "simulate",
         simulate,
-        nodes("CONFIG.yaml, and the node-ID of the module to serve (the first)", least=1, most=1),
+        nodes("CONFIG.yaml, and the node-ID of the module to serve (the first)", most=1),
         option(
             "--rate",
             type=float,

@@ -375,7 +375,11 @@ def _position(module: NodeAccess) -> str:
         status = module.integer(*od.FEEDBACK_STATUS, "H")
     except CanfbError:
         return ""
-    return "; its position is lost, start it again at standstill" if status & od.StatusBit.LOST else ""
+    return (
+        f"; its position is lost: canfb why {module.node_id:#04x} says what brings it back"
+        if status & od.StatusBit.LOST
+        else ""
+    )
 
 
 def commission(

@@ -195,8 +195,8 @@ def check_valid(module: NodeAccess) -> None:
     status = module.integer(*od.FEEDBACK_STATUS, "H")
     if status & od.StatusBit.LOST:
         raise CommissioningError(
-            f"{module.name}: the position is lost (2011:01), so its speed is not known: let the machine "
-            "stand still, start the node again (NMT), and check its limits"
+            f"{module.name}: the position is lost (2011:01), so its speed is not known: canfb why "
+            f"{module.node_id:#04x} says why, and what brings it back"
         )
     if not status & (od.StatusBit.VALID | od.StatusBit.COASTING):
         raise CommissioningError(
