@@ -236,6 +236,7 @@ def refusal(command: Command, line: str, code: int) -> str:
     ("bus.log --report ./bus.log", 2, "--out, --frames, --report: must differ, also from the log"),
     ("bus.log --set 'adapt={ofset: 1}'", 2, "unknown key 'ofset' in adapt; did you mean 'offset'?"),
     ("bus.log --out x.csv --report x.csv", 2, "--out, --frames, --report: must differ, also from the log"),
+    ("samples.csv", 1, "the first is line 1; are these samples? (calibrate --samples)"),
     ("empty.log --frames words.asc", 1, "there is no classic frame with an 11-bit identifier in it"),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_line(
@@ -244,6 +245,7 @@ def test_what_cannot_be_is_one_line(
     monkeypatch.chdir(tmp_path)
     write_log(Path("bus.log"), live(session(20))[0])
     Path("empty.log").touch()
+    Path("samples.csv").write_text("sine,cosine\n1,2\n")
     Path("words.asc").write_text("no log\nat all\n")
     Path("source.yaml").write_text("modules: [{node_id: 32, source: {kind: motion}}]\n")
     before = {path: path.read_bytes() for path in Path().iterdir()}

@@ -65,8 +65,7 @@ def test_a_record_is_read_as_a_whole(canfb: Commands, bench: Bench) -> None:
 
 def test_the_eds_follows_from_the_node(canfb: Commands, bench: Bench) -> None:
     out = canfb(bench, "sdo", "read", INTERFACE_ID, "sine")[0]
-    nothing = canfb(bench, "sdo", "list", NODE, "nothing")
-    assert nothing.out == "no object has 'nothing' in number or name\n"
+    assert canfb(bench, "sdo", "list", NODE, "nothing")[0] == "no object has 'nothing' in number or name\n"
     assert re.fullmatch(r"6401:01 Read analog input 16-bit: Sine: -?\d+ ADC counts\n", out)
 
 

@@ -274,7 +274,11 @@ class BusLogFile:
             *those((self.counters.left_out, f"there are {', '.join(sorted(self.counters.left_out))}")),
             *self.counters.lines_left_out(),
             *those(
-                (self.suffix == ".log" and self.counters.damaged_lines, "record it with candump -L (UTF-8)")
+                (self.suffix == ".log" and self.counters.damaged_lines, "record it with candump -L (UTF-8)"),
+                (
+                    self.suffix == ".csv" and self.counters.damaged_lines,
+                    "are these samples? (calibrate --samples)",
+                ),
             ),
         ]
         return LogError("; ".join(words))
