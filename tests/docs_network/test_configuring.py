@@ -42,11 +42,7 @@ def test_a_whole_file(tmp_path: Path) -> None:
     ("canfb-module.eds", "..", "is not an EDS file"),
     ("2001:01: 1024", "2001:01: 1024.5", "2001:01: 1024.5 does not fit the data type 0007h"),
     ("2001:01: 1024", "2001:01: -1", "Cycles per revolution"),
-    (
-        "2001:01: 1024",
-        "2001:99: 1024",
-        "nodes[1].parameters.2001:99: the EDS of module has no such object",
-    ),
+    ("2001:01: 1024", "2001:99: 1024", "nodes[1].parameters.2001:99: the EDS of module has no such object"),
     ("2001:01: 1024", "2011:01: 1", "2011h is read only (ro)"),
     ("6002: 0x40000000", "6000: 4", "this key appears twice"),
     ("6002: 0x40000000", "6000:00: 4", "6000:00 is set twice"),
