@@ -27,7 +27,7 @@ class Emergency(Timed):
         self._core = core
         self._register = dictionary.assumed(0x1001)
         self._history_count = dictionary.assumed(0x1003)
-        self._history = [entry for entry in dictionary if entry.index == 0x1003 and entry.subindex]
+        self._history = dictionary.without_count(0x1003)
         self._cob_id = dictionary.assumed(0x1014, value=cob.EMERGENCY + core.node_id)
         self._inhibit = dictionary.assumed(0x1015)
         self._allowed = False

@@ -259,7 +259,7 @@ class LifeCycle(Reactions):
 
     def reset(self, communication_only: bool, now: float) -> None:
         last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
-        self.core.dictionary.reset(0x1000, last)
+        self.core.dictionary.reset(last)
         self._boot(communication_only, now)
 
     # Reactions

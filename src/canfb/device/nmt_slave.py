@@ -41,9 +41,8 @@ def startup(dictionary: Dictionary, *, autostart: bool) -> Callable[[], bool]:
 def error_behaviour(dictionary: Dictionary) -> Callable[[NmtState], NmtState]:
     """Object 1029h: the NMT state to which a communication error leads."""
     communication = dictionary.assumed(0x1029, 1)
-    for entry in dictionary:
-        if entry.index == 0x1029 and entry.subindex:
-            entry.on_check = refuse_if(lambda value: value not in REACTION)
+    for entry in dictionary.without_count(0x1029):
+        entry.on_check = refuse_if(lambda value: value not in REACTION)
     return lambda state: REACTION.get(communication.value, REACTION[0]).get(state, state)
 
 
@@ -124,8 +123,10 @@ class HeartbeatConsumer:
     """Object 1016h."""
 
     def __init__(self, core: Core) -> None:
-        entries = [entry for entry in core.dictionary if entry.index == 0x1016 and entry.subindex]
-        self.monitors = [HeartbeatMonitor(core, entry, lambda: self.monitors) for entry in entries]
+        self.monitors = [
+            HeartbeatMonitor(core, entry, lambda: self.monitors)
+            for entry in core.dictionary.without_count(0x1016)
+        ]
 
     def configure(self, now: float) -> None:
         for monitor in self.monitors:

@@ -235,6 +235,9 @@ class Dictionary:
     def indices(self, area: range) -> Sequence[int]:
         return sorted(index for index in self._objects if index in area)
 
+    def without_count(self, index: int) -> list[Entry]:
+        return [entry for (of, subindex), entry in self._entries.items() if of == index and subindex]
+
     def change_node_id(self, old: int, new: int) -> None:
         """Recalculate defaults that contain the node-ID, and values equal to such a default."""
         for entry in self._entries.values():
@@ -244,10 +247,10 @@ class Dictionary:
                 if is_default:
                     entry.value = entry.default
 
-    def reset(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
-        """Set the entries `first` to `last` to their defaults. No hook runs."""
+    def reset(self, last: int = 0xFFFF) -> None:
+        """Set the entries up to `last` to their defaults. No hook runs."""
         for entry in self._entries.values():
-            if first <= entry.index <= last:
+            if entry.index <= last:
                 entry.reset()
 
 

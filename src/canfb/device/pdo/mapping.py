@@ -97,7 +97,7 @@ class PdoParameters:
         self.cob_id = dictionary.entry(self._communication, 1)
         self.type = dictionary.entry(self._communication, 2)
         self.count = dictionary.entry(self._mapping, 0)
-        self.mapped = [entry for entry in dictionary if entry.index == self._mapping and entry.subindex]
+        self.mapped = dictionary.without_count(self._mapping)
         self.cob_id.on_check = self._check_cob_id
         self.type.on_check = self._check_type
         self.count.on_check = self._check_count

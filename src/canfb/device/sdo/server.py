@@ -52,10 +52,9 @@ class SdoServer(Timed):
             BLOCK_UPLOAD: self._block_upload,
             BLOCK_DOWNLOAD: self._block_download,
         }
-        if index != FIRST_INDEX:
-            for entry in (self._request, self._response):
-                entry.on_check = partial(_check_cob_id, entry)
-                entry.on_written = self._cob_id_written
+        for entry in (self._request, self._response):
+            entry.on_check = partial(_check_cob_id, entry)
+            entry.on_written = self._cob_id_written
         self.configure()
 
     @property
