@@ -220,7 +220,6 @@ class BlockUpload(Transfer):
         self._confirmed = confirmed
         if sequence and confirmed >= len(self._data):
             self._expected = _END
-            self.pause = NEVER
             unused = -len(self._data) % _SEGMENT if self._data else _SEGMENT
             self._reply(bytes([_UPLOAD_END | unused << 2]) + self._crc.to_bytes(2, "little"))
 
