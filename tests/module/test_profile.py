@@ -200,7 +200,7 @@ def test_the_offset_is_an_integer32_and_exact_in_any_range(
     total_range: int, units: int, data: st.DataObject
 ) -> None:
     value = data.draw(st.integers(0, total_range - 1))
-    offset = PositionScale(1, 1, total_range, False, 0).offset_for(units, value)
+    offset = PositionScale(1, 1, total_range, False, 0).offset_for(units, 0.0, value)
     assert -(2**31) <= offset < 2**31
     assert (units + offset) % total_range == value
 

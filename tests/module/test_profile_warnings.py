@@ -54,8 +54,7 @@ def test_a_limit_that_a_known_acceleration_narrows(bench: Bench) -> None:
     assert limit < 0.1
     bench.at(0.0)
     bench.at(0.95 * limit)
-    assert bench.sdo[0x6505].raw == 1
-    assert told(bench) == [(FREQUENCY, 0x21)]
+    assert (bench.sdo[0x6505].raw, told(bench)) == (1, [(FREQUENCY, 0x21)])
 
 
 def flagged(bench: Bench, flags: int, position: float = 0.0) -> None:
@@ -68,8 +67,7 @@ def test_no_zero_pulse_yet(bench: Bench) -> None:
     bench.at(0.0)
     assert bench.sdo[0x6505].raw == 0  # none is wired
     bench.map_rpdo2(0x20000608)  # the flags of a sample
-    assert bench.sdo[0x6505].raw == 0x20
-    assert told(bench) == []
+    assert (bench.sdo[0x6505].raw, told(bench)) == (0x20, [])
     for _ in range(3):
         flagged(bench, 0)
     assert told(bench) == [(REFERENCE, 0x21)]
@@ -87,8 +85,7 @@ def test_no_zero_pulse_yet(bench: Bench) -> None:
 def test_only_chosen_warnings_are_told(bench: Bench, mask: int) -> None:
     bench.sdo[0x2004][1].raw = mask
     bench.at(0.0, LOW, samples=3)
-    assert bench.sdo[0x6505].raw == 2
-    assert told(bench) == []
+    assert (bench.sdo[0x6505].raw, told(bench)) == (2, [])
     bench.sdo[0x2004][1].raw = mask | 2
     bench.at(0.0, LOW)
     assert told(bench) == [(AMPLITUDE, 0x21)]
@@ -148,6 +145,8 @@ def test_the_examples_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
 
 def test_a_position_out_of_date_is_an_alarm_without_warnings_and_takes_no_preset(bench: Bench) -> None:
     bench.at(0.0, LOW)
+    unreported = bench.module.receive(Frame(0x620, bytes.fromhex("2303600000000000")), bench.bus.now + 3.0)
+    assert unreported[-1].data[0] == 0x80
     bench.bus.run_until(bench.bus.now + 3.0)  # SYNC stops before its period is known
     assert (bench.sdo[0x6503].raw, bench.sdo[0x6505].raw) == (ALARM_POSITION, 0)
     with pytest.raises(canopen.SdoAbortedError):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from canfb import objects as od
+from canfb.cia301.codes import NmtState
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.alarms import PositionAlarm, Warnings
@@ -44,7 +45,12 @@ class Publishing:
         entry = dictionary.entry
         self._status, self._residual = entry(*od.FEEDBACK_STATUS), entry(*od.FEEDBACK_RESIDUAL)
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
-        self.profile = EncoderProfile(dictionary, interval, self.latest)
+        self.profile = EncoderProfile(
+            dictionary,
+            interval,
+            self.latest,
+            lambda: node.state is NmtState.OPERATIONAL and not self._status.value & VALID,
+        )
         self.warnings = Warnings(
             dictionary,
             node,

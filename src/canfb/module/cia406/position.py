@@ -78,9 +78,9 @@ class PositionScale:
         """6004h: (units + offset) modulo ``total_range``."""
         return (self.units(cycles, phase) + self.offset) % self.total_range
 
-    def offset_for(self, units: int, preset: int) -> int:
-        """The offset at which ``units`` are ``preset``: -R/2 <= offset < R/2, R ``total_range``."""
-        offset = (preset - units) % self.total_range
+    def offset_for(self, cycles: int, phase: float, preset: int) -> int:
+        """The offset at which 6004h is ``preset``: -R/2 <= offset < R/2, R ``total_range``."""
+        offset = (preset - self.units(cycles, phase)) % self.total_range
         return offset - self.total_range if 2 * offset >= self.total_range else offset
 
 

@@ -102,7 +102,13 @@ class EncoderProfile:
     Cams, work area, speed and acceleration are those of the last valid position.
     """
 
-    def __init__(self, dictionary: Dictionary, interval: SamplingInterval, latest: Latest) -> None:
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        interval: SamplingInterval,
+        latest: Latest,
+        withheld: Callable[[], bool],
+    ) -> None:
         entry = dictionary.entry
         self._operating = entry(*od.OPERATING_PARAMETERS)
         self._units_per_rev, self._range = entry(*od.UNITS_PER_REVOLUTION), entry(*od.TOTAL_RANGE)
@@ -112,7 +118,7 @@ class EncoderProfile:
         self._revolutions = entry(*od.DISTINGUISHABLE_REVOLUTIONS)
         self._offset = entry(*od.OFFSET_VALUE)
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
-        self._latest = latest
+        self._latest, self._withheld = latest, withheld
         self._presets = entry(*od.PRESET_VALUE), entry(*od.HIGH_PRECISION_PRESET)
         for preset in self._presets:
             preset.on_written = partial(self._preset, preset)
@@ -173,11 +179,11 @@ class EncoderProfile:
         if value >= self.scale.total_range:
             raise SdoAbort(AbortCode.INVALID_VALUE)
         last = self._latest.feedback
-        outdated = self.alarms.value & ALARM_POSITION  # without SYNC the machine may have moved
+        # Without SYNC, or with a sample that was not used, the machine may have moved.
+        outdated = self.alarms.value & ALARM_POSITION or self._withheld()
         if last is None or not last.valid or outdated or abs(last.speed_cycles) > STANDSTILL_CYCLES:
             raise SdoAbort(AbortCode.DEVICE_STATE)
-        units = self.scale.units(*self._latest.place(last))
-        self._offset.value = self.scale.offset = self.scale.offset_for(units, value)
+        self._offset.value = self.scale.offset = self.scale.offset_for(*self._latest.place(last), value)
         for preset in self._presets:  # the same value as UNSIGNED32 and UNSIGNED64
             preset.value = value
         self._moved()
