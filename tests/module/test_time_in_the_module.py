@@ -512,10 +512,12 @@ def test_an_interface_whose_clock_is_sync_may_be_in_slow_motion(
     assert not any(one.status & LOST for one in machine.positions)
 
 
-@given(st.floats(0.03, 0.3), st.integers(1, 40), st.floats(0.0, 1.0), st.booleans(), st.booleans())
-@example(0.03, 1, 0.9375, False, False)  # four samples within the 0.05 cycle of the phase before the pause
+@given(
+    st.floats(0.03, 0.3), st.integers(1, 40), st.floats(0.0, 1.0), st.booleans(), st.booleans(), st.booleans()
+)
+@example(0.03, 1, 0.9375, False, False, False)  # four samples within 0.05 cycle of the phase before the pause
 def test_a_machine_that_begins_to_move_in_a_pause_is_lost(
-    speed: float, cycles: int, more: float, stamped: bool, times: bool
+    speed: float, cycles: int, more: float, stamped: bool, times: bool, activated: bool
 ) -> None:
     """Its phase does not show it where it is whole cycles further when samples come again."""
     length = 2.0 * (cycles + more * (more > 0.5)) / speed
@@ -527,6 +529,8 @@ def test_a_machine_that_begins_to_move_in_a_pause_is_lost(
     machine = Machine(stamped, motion, times=times, ran=100)
     machine.until(100)
     machine.remote.nmt.state = "PRE-OPERATIONAL"
+    if activated:
+        machine.sdo[0x2020][3].raw = 0
     machine.until(99.5 + length)
     machine.start()
     again = machine.run(100 + math.ceil(length), 130 + math.ceil(length))

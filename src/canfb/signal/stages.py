@@ -169,8 +169,6 @@ class Stages:
 
     def resume(self, displacement_cycles: float, spread_cycles: float = 0.0, starts: bool = True) -> None:
         """Continue after a pause in which the machine stopped or moved ``displacement_cycles``; inf: lost."""
-        # After a change of the correction, the next phase cannot be compared with the last one.
-        shows = self._tracker.started and self._activated < self.samples
         self.reference.restart(keep=True)
         if self.second is not None:
             self.second.restart(keep=True)
@@ -178,8 +176,10 @@ class Stages:
         self._forget_sample()
         if displacement_cycles == inf:
             self.lose_after_pause(starts)
-        elif shows:
-            due = self._tracker.places[1].phase + displacement_cycles / 2.0
+        elif self._tracker.started:
+            # After a change of the correction, the next phase cannot be compared with the last one.
+            last = self._tracker.places[1].phase if self._activated < self.samples else nan
+            due = last + displacement_cycles / 2.0
             most = abs(displacement_cycles) / 2.0 + spread_cycles
             # A machine that stood and moves at once may have begun in the pause, and be whole cycles away.
             self._due = due, most + speeds.MOVED_CYCLES, 1 if most else CONFIRMING_SAMPLES
@@ -194,7 +194,7 @@ class Stages:
         self.last = self.place = None
         self._sine = self._cosine = nan  # counts of the last sample
         self._speed, self.was_valid = float(speed_cycles), 0  # of the last sample
-        # The phase expected after a pause, its tolerance, and the number of samples still to be checked.
+        # The phase expected after a pause (NaN: any), its tolerance, and the number of samples to be checked.
         self._due = None
         self._expect(self._speed)
 
