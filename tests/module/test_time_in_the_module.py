@@ -340,6 +340,20 @@ def test_a_module_that_stays_operational_without_a_bus_has_lost_its_position() -
     assert machine.run(40, 43)[-1].status == LOST, "it turns"
 
 
+def test_a_sample_that_was_missed_unseen_loses_the_position_without_sync() -> None:
+    """The second of two: the next sample comes shortly before this would show."""
+
+    def motion(at: float) -> float:
+        braked = min(max(0.0, at - 202.0), 10.0)
+        return ramped(1.0)(at - braked) + braked * (1.0 - braked / 20.0) - max(0.0, at - 212.0)
+
+    machine = Machine(False, motion, {(0x2010, 2): 15.8}, ran=1)
+    for k in [*range(1, 200), *range(202, 300)]:
+        machine.sample(k, k + {199: 0.3, 202: 0.25}.get(k, 0.1))
+    assert machine.right()
+    assert machine.positions[-1].status & LOST
+
+
 @pytest.mark.parametrize("bad_each", [2, 3, 7])
 def test_an_alarm_that_comes_and_goes_sends_ten_pairs_of_emcy_a_second(bad_each: int) -> None:
     machine = Machine(True, lambda at: 0.2, ran=20)

@@ -341,6 +341,8 @@ class Pairing(ProcessData):
             verdict = syncs.sync(call.received, call.is_stamped, None)  # no SYNCs: the sample is its own
             if verdict is not USUAL:
                 self._limits.follow()
+            if verdict.doubt:
+                self._lose_count(verdict.doubt, now)
             place = syncs.place if not verdict.extra else self._answered
         elif call.is_stamped and syncs.stamped:
             delay_s = call.received - syncs.synced_s
@@ -416,10 +418,7 @@ class Pairing(ProcessData):
         self._out(sample, feedback, now)
 
     def _timed(self, sample: Sample, now: float) -> None:
-        """Take a sample by its own time, whenever it was received.
-
-        An old one is not used; nor is one too near to the last, but that accounts for its SYNC.
-        """
+        """Take a sample by its own time. An old one is dropped; one near the last accounts for its SYNC."""
         call, syncs, source = self._call, self.syncs, self._source
         if not self._synced and source is None:
             syncs.sync(call.received, call.is_stamped, None)  # no SYNCs: the sample is its own
