@@ -38,12 +38,11 @@ import numpy as np
 
 from canfb.configuration import RealtimeConfig
 from canfb.hosting.realtime import apply_realtime
-from tools.bench.bus_node import READY, REALTIME
+from tools.bench.bus_node import NODES, READY, REALTIME
 from tools.bench.bus_others import LOADS, Others
 from tools.site.text import table
 
 Combination = tuple[str, str, str]
-NODES = ("stock", "canfb", "floor")
 PRIORITY = 90  # priority of this program, above that of the node
 PATIENCE_S = 20.0
 PARTS = (0.5, 0.99, 0.999, 1.0)

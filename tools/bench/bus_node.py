@@ -40,7 +40,7 @@ from tools.bench.cycle import (
     stock_node,
 )
 
-KINDS = ("stock", "canfb", "floor")
+NODES = ("stock", "canfb", "floor")
 READY = "end with Ctrl-C"
 PRIORITY = 80
 REALTIME = ("no", "yes", "busy")
@@ -101,7 +101,7 @@ def serve_module(bus: RawCanBus, realtime: dict[str, Any]) -> int:
 
 def main() -> int:
     parser = argparse.ArgumentParser()
-    parser.add_argument("kind", choices=KINDS)
+    parser.add_argument("kind", choices=NODES)
     parser.add_argument("--fd", type=int)
     parser.add_argument("--channel")
     parser.add_argument("--realtime", choices=REALTIME, default="no")
