@@ -9,7 +9,7 @@ import numpy.typing as npt
 from canfb import max_acceleration, track
 from canfb.simulation import faults
 from canfb.simulation.faults import Fault, Samples, Signal
-from tools.faults.machine import exact_table
+from tools.faults.machine import Motion, exact_table
 from tools.paper.claim import Claim, Effort, Verdict, grouped, percent, verdict
 from tools.paper.plant import (
     CYCLES_PER_REVOLUTION,
@@ -109,13 +109,13 @@ def onset(change: float, fraction: float, rise: float) -> FloatArray:
 
     `change` in cycles per sample²; it is reached after `rise` sampling intervals, linearly.
     """
-    time = np.maximum(np.arange(30) - 5.0 - fraction, 0.0)
-    ramp = np.minimum(time, rise)
-    held = time - ramp
-    # Constant jerk change/rise to the end of the ramp, then constant acceleration.
-    jerk = change / rise if rise > 0.0 else 0.0
-    way = jerk * ramp**3 / 6.0 + jerk * ramp**2 / 2.0 * held + change * held**2 / 2.0
-    return np.asarray(0.37 + way, np.float64)
+    begin = 5.0 + fraction
+    motion = Motion(start=0.37)
+    if rise > 0.0:
+        motion.jerks += [(begin, change / rise), (begin + rise, -change / rise)]
+    else:
+        motion.pieces.append((begin, change))
+    return motion.at(np.arange(30))
 
 
 def is_silent(position: FloatArray) -> bool:
