@@ -268,9 +268,12 @@ def test_sample_times_count_where_they_come() -> None:
     bench.begin()
     time_s = 429.4 + (np.arange(1100) + rng.uniform(-0.3, 0.3, 1100)) * 1e-3  # the 32 bits wrap at 429.5 s
     ticks = (time_s * 1e7).astype(np.int64).tolist()
+    ticks[600] = ticks[599]
     for tick, counts in zip(ticks, counts_of(ENCODER, 83.2e3 * time_s, rng), strict=True):
         bench.sync()
-        if rng.random() < 0.02:
+        if tick == ticks[599]:
+            bench.module.chain.forget_times()  # the time of the last sample is a first one then
+        elif rng.random() < 0.02:
             continue
         bench.sent(Frame(0x290, struct.pack("<I", tick % (1 << 32))))
         bench.counts(*counts)

@@ -168,14 +168,15 @@ class Calibrating:
             self._part = min(max(part, 0.0), 1.0)
 
     def take(self, sample: Sample, feedback: Feedback) -> None:
-        """Record a sample; a flagged one is left out."""
+        """Record a sample; a flagged one, or one with the time of the last, is left out."""
         status = feedback.status
-        self._add_time(sample.time_100ns)
+        is_new = self._add_time(sample.time_100ns)
         tracks = self._chain.tracks
         turned = tracks.turned_rad(feedback.speed_cycles)
         self._fastest_hz = max(self._fastest_hz, abs(tracks.hertz(feedback.speed_cycles)))
         self._turned.append(turned)
-        if sample.invalid or _left_out(status) or (turned and status & LOST):  # `turned` needs the speed
+        left_out = sample.invalid or not is_new or _left_out(status)
+        if left_out or (turned and status & LOST):  # `turned` needs the speed
             self._samples.miss()
         else:
             self._samples.take(self._held(sample.sine), self._held(sample.cosine))
@@ -237,15 +238,17 @@ class Calibrating:
         self.job = CalibrationJob(self._samples.to_bytes(), times, self._adc_bits, turned, delays_s, at_speed)
         self._enter(State.COMPUTING)
 
-    def _add_time(self, time_100ns: int | None) -> None:
-        """Note a time, unwrapped. Times are used only if all samples have one."""
+    def _add_time(self, time_100ns: int | None) -> bool:
+        """Note a time, unwrapped; False: it is that of the last sample. Used only if all samples have one."""
         self._timed &= time_100ns is not None
         if time_100ns is None:
             self._times.append(NO_TIME)
-            return
+            return True
         last = self._last_tick
         self._last_tick = time_100ns if last is None else last + (time_100ns - last) % TICKS
-        self._times.append(self._last_tick)
+        is_new = self._last_tick != last
+        self._times.append(self._last_tick if is_new else NO_TIME)
+        return is_new
 
     def _held(self, counts: float) -> int:
         """``counts`` as recorded: at or beyond an end of the converter, the end of its bits."""
