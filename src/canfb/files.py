@@ -12,6 +12,7 @@ from pathlib import Path
 from canfb.errors import CanfbError, ConfigError, saying
 
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # its marks
+REPORT = "report.html"  # of calibrate, commission and demo; its last line says of which
 
 
 def read_bytes(path: Path, refuse: type[Exception]) -> bytes:
@@ -61,9 +62,9 @@ def prepare_folder(folder: Path, command: str, *kept: str) -> None:
         for name in kept:
             if (folder / name).exists():
                 raise ConfigError(f"--out {folder}: has {name} of another measurement: give another folder")
-        report = folder / "report.html"
+        report = folder / REPORT
         if report.exists() and f"Made by canfb {command}".encode() not in report.read_bytes():
-            raise ConfigError(f"--out {folder}: has {report.name} of another command: give another folder")
+            raise ConfigError(f"--out {folder}: has {REPORT} of another command: give another folder")
         tempfile.TemporaryFile(dir=folder).close()
 
 

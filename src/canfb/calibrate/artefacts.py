@@ -13,7 +13,7 @@ from canfb.calibrate.measurement import Measurement, SpeedSamples
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.result import BINS, samples_in_bins
 from canfb.errors import CalibrationError
-from canfb.files import writing
+from canfb.files import REPORT, writing
 from canfb.master.machine_watch import Provenance, origins
 from canfb.master.samples import TrackSamples, write_npz
 from canfb.report import pictures
@@ -23,7 +23,7 @@ from canfb.sdo.tables import as_yaml
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits
 
-TABLE_YAML, TABLE_BIN, SAMPLES, REPORT = "table.yaml", "table.bin", "samples.npz", "report.html"
+TABLE_YAML, TABLE_BIN, SAMPLES = "table.yaml", "table.bin", "samples.npz"
 SPEEDS = "speeds"
 # Keys of the YAML besides crc32, conditioning and entries.
 META = (

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
-from canfb.calibrate.artefacts import REPORT, SPEEDS, TABLE_YAML
+from canfb.calibrate.artefacts import SPEEDS, TABLE_YAML
 from canfb.calibrate.calibration_run import CalibrationRun
 from canfb.calibrate.choices import (
     IDLE,
@@ -42,7 +42,7 @@ from canfb.cli.options import (
 )
 from canfb.cli.printing import Progress, shown_progress
 from canfb.errors import CalibrationError
-from canfb.files import prepare_folder
+from canfb.files import REPORT, prepare_folder
 from canfb.rows import Result
 
 

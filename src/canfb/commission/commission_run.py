@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from canfb import objects as od
-from canfb.calibrate.artefacts import REPORT, keep_samples, place_line
+from canfb.calibrate.artefacts import keep_samples, place_line
 from canfb.calibrate.calibration_run import Steps
 from canfb.calibrate.calibration_summary import delay_words
 from canfb.calibrate.measurement import supervise
 from canfb.commission.limit_choice import LEAST_SAMPLES, Choice, choose, observe, value_words
 from canfb.commission.machine_figures import Observation, smooth_acceleration
 from canfb.errors import CanfbError
-from canfb.files import write_whole
+from canfb.files import REPORT, write_whole
 from canfb.master.access import CommissioningError, Master, NodeAccess, without_restart
 from canfb.master.all_or_nothing import Guard, change, check_can_save, check_unlocked
 from canfb.master.machine_watch import (

@@ -23,7 +23,7 @@ from canfb.demo.story import (
     ServoRun,
     Story,
 )
-from canfb.files import writing
+from canfb.files import REPORT, writing
 from canfb.report.page import beside, figure, gallery, page, svg_file, table
 from canfb.report.pictures import PERCENT, SHOWN_SAMPLES, circle, cloud, square_plot
 from canfb.report.plot import Plot, nice_limit
@@ -227,7 +227,6 @@ def _shown(run: ServoRun) -> tuple[FloatArray, FloatArray]:
     return time_ms[inside], run.residual[inside]
 
 
-REPORT = "report.html"
 FOOTER = "Made by canfb demo: a simulation with fixed seeds; its figures are the same each time."
 RESIDUAL = "Residual while faults are provoked"
 SERVO = "A move of a servo"
